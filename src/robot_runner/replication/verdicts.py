@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from typing import Any
@@ -102,12 +102,15 @@ class ReplicationVerdict:
 _CIRCUMSTANCES = {ROBOTS_OWNER: "it is which robot was free", OPERATOR_OWNER: "it is what the operator answered"}
 
 
-def why_not_primary(columns: Sequence[ColumnDescription], manifest: Mapping[str, Any]) -> dict[str, str]:
+def why_not_primary(
+    columns: Sequence[ColumnDescription], manifest: Mapping[str, Any], empty: Collection[str] = ()
+) -> dict[str, str]:
     """Return by name why a measure is not primary; the text is empty for a primary measure.
 
     The primary measures are those in the analysis plan. Without a plan, all are primary except: durations on this
     machine's clock with a simulated robot, which depend on the machine's load; the robot of a run, if there are
-    several; and the operator's answers, which describe the circumstances. If none remained, all are primary.
+    several; the operator's answers, which describe the circumstances; and measures that are `empty` in both
+    experiments. If none remained, all are primary.
     """
     measures = [
         column for column in columns if column.role is ColumnRole.MEASURE and not column.name.endswith(QUALITY_SUFFIX)
@@ -121,9 +124,8 @@ def why_not_primary(columns: Sequence[ColumnDescription], manifest: Mapping[str,
             found[column.name] = "" if column.name in planned else "the plan does not name it as primary"
         else:
             is_timing = is_simulated and column.unit in _TIMES and column.origin in _MEASURED
-            found[column.name] = (
-                "it is how long the machine took" if is_timing else _CIRCUMSTANCES.get(column.owner, "")
-            )
+            because = "it is how long the machine took" if is_timing else _CIRCUMSTANCES.get(column.owner, "")
+            found[column.name] = "neither experiment has a value of it" if column.name in empty else because
     return found if not all(found.values()) else dict.fromkeys(found, "")
 
 
@@ -187,7 +189,8 @@ def reached_verdict(
         margins: the largest difference that does not matter, by measure.
         comparison: the output of `robot-runner compare --json`, as plain data; None if it was not executed.
     """
-    secondary = why_not_primary(columns, manifest)
+    empty = {name for name, each in same.items() if not each.runs and not each.lacking}
+    secondary = why_not_primary(columns, manifest, empty)
     compared = {each["first_name"]: each for each in (comparison or {}).get("measures", ()) if _has_numbers(each)}
     units = {column.name: column.unit if column.unit != "1" else "" for column in columns}
     measures = [
@@ -236,8 +239,13 @@ def _why_untested(name: str, comparison: Mapping[str, Any] | None) -> str:
             "no statistics were at hand to tell whether that matters (install the extra `analysis`, and repeat "
             "the command: no run is executed again)"
         )
-    if any(each["first_name"] == name and not each["differences"] for each in comparison.get("measures", ())):
+    differences = next(
+        (each["differences"] for each in comparison.get("measures", ()) if each["first_name"] == name), None
+    )
+    if differences == []:
         return "no combination is compared that both have (of a search, only runs that confirm it are)"
+    if any(each["second_mean"] is not None for each in differences or ()):
+        return "the original has no number of it"
     return "its values are not numbers, and one execution does not tell whether that is chance"
 
 

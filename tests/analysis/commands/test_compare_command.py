@@ -6,7 +6,7 @@ import shutil
 
 import pytest
 from tests.analysis.comparison.combined_agreement import disagreements_of_combined
-from tests.analysis.experiment_folders import two_tasks
+from tests.analysis.experiment_folders import Folder, two_tasks
 
 VIDEO = (870.1, 872.4, 869.0, 874.2, 871.3)
 NETWORK = (834.0, 836.1, 833.2, 838.0, 835.5)
@@ -41,6 +41,18 @@ class TestCompare:
         assert answer.code == 0
         assert "moved is original again" in answer.out
         assert "proves nothing" in answer.out
+
+    def test_long_names_that_differ_at_their_end_are_told_apart(self, robot_runner, tmp_path):
+        floors = {"Task": ["planner with a long recovery, on carpet", "planner with a long recovery, on tiles"]}
+        rows = [(floors["Task"][place % 2], value) for place, value in enumerate(VIDEO)]
+        names = [f"energy_of_long_missions_in_the_lab_of_{each}" for each in ("ada", "bob")]
+        for name, day in zip(names, ("2026-01-30", "2026-01-31"), strict=True):
+            Folder(tmp_path / name, floors, rows, {"Energy": "J"}, name=name, day=day).write()
+        answer = robot_runner("compare", *names)
+        lines = answer.out.splitlines()
+        (heading,) = (line for line in lines if "Verdict" in line)
+        assert all(name in heading for name in names)
+        assert all(any(line.startswith(f"  {floor}  ") for line in lines) for floor in floors["Task"])
 
     def test_without_a_bound_it_asks_for_one(self, robot_runner):
         answer = robot_runner("compare", "original", "replica")

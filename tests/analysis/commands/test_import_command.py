@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json
+import signal
 
 import pytest
 from tests.analysis.importing.foreign_folder import make_earlier_folder, write
 
 from robot_runner.analysis import load_results
+from robot_runner.analysis.importing import adoption
 from robot_runner.cli.main import main
 
 
@@ -44,6 +46,26 @@ def test_with_a_yes_it_writes_and_lists_the_differences(root, tmp_path, capsys):
     assert "energy_J: 1 of 3 runs differ by more than 0.1%" in shown
     assert "run_2: 30 in the table, 24 recomputed (-20.00%)" in shown
     assert len(load_results(tmp_path / "earlier_imported").done) == 3
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_that_ends_it_leaves_nothing_half_written(number, root, tmp_path, monkeypatch, capsys):
+    def stop(*_):
+        assert [path.name for path in tmp_path.iterdir() if path.name.startswith(".earlier_imported.")]
+        signal.raise_signal(number)
+
+    def unheard(*_):
+        raise AssertionError
+
+    monkeypatch.setattr(adoption, "write_records", stop)
+    earlier = signal.signal(number, unheard)
+    try:
+        assert main(["import", str(root), "--yes"]) == 130
+        assert signal.getsignal(number) is unheard
+    finally:
+        signal.signal(number, earlier)
+    assert "interrupted" in capsys.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == ["earlier"]
 
 
 def unsure(tmp_path):

@@ -33,7 +33,7 @@ class RobotRunnerConfig(ExperimentConfig):
         return {"Energy": 100 + 8 * (context.combination["Task"] == "Video") + 7 * (context.run_number % 4)}
 """
 
-ASSUMED = ("--sd", "12", "--difference", "Task=15", "--simulations", "400", "--repetitions", "3..20")
+ASSUMED = ("--sd", "12", "--difference", "Task=15", "--simulations", "100", "--repetitions", "3..20")
 
 
 @pytest.fixture
@@ -63,7 +63,7 @@ def test_it_answers_with_a_table_a_curve_a_figure_and_json(
     point = next(each for each in scenario["points"] if each["repetitions"] == needed)
     assert point["least"]["low"] < point["least"]["power"] < point["least"]["high"]
     assert point["least"]["power"] >= told["power"] == 0.8
-    assert point["simulations"] <= 400
+    assert point["simulations"] <= 100
     # The same seed gives the same figures, and another one others.
     again = robot_runner("power", study, *ASSUMED, "--json").json
     assert again == told
@@ -75,7 +75,7 @@ def test_means_come_from_a_file_and_from_a_pilot(
     robot_runner: Callable[..., Answer], study: Path, tmp_path: Path
 ) -> None:
     (tmp_path / "means.csv").write_text("Task,Energy,Energy.sd\nIdle,100,10\nVideo,115,14\n", encoding="utf-8")
-    words = ("--simulations", "200", "--repetitions", "3..30", "--json")
+    words = ("--simulations", "100", "--repetitions", "3..30", "--json")
     (of_file,) = robot_runner("power", study, "--means", "means.csv", *words).json["scenarios"]
     combinations = {tuple(each["treatments"]): each for each in of_file["assumed"][0]["combinations"]}
     assert combinations["Video", "0.2"] == {"treatments": ["Video", "0.2"], "mean": 115.0, "sd": 14.0}

@@ -210,7 +210,7 @@ def test_a_design_that_is_too_large_to_be_listed_is_refused_at_once(
 def test_the_power_of_the_same_study_is_registered_with_it(
     robot_runner: Callable[..., Answer], study: Path, tmp_path: Path
 ) -> None:
-    words = ("--sd", "10", "--difference", "Task=12", "--simulations", "300", "--repetitions", "2..30")
+    words = ("--sd", "10", "--difference", "Task=12", "--simulations", "100", "--repetitions", "2..30")
     assert robot_runner("power", study, *words, "--output", "power").code == 0
     answer = robot_runner("preregister", study, "--power", "power/power.json")
     assert answer.code == 0, answer.err
@@ -337,3 +337,15 @@ def test_repetitions_that_the_registered_rule_adds_are_no_deviation_and_another_
         "measures tested that were not planned: CPU",
     )
     assert sorted(told) == sorted(expected)
+
+
+@pytest.mark.long
+def test_names_with_line_breaks_do_not_make_lines_of_their_own(
+    robot_runner: Callable[..., Answer], study: Path, tmp_path: Path
+) -> None:
+    study.write_text(CONFIG.replace('"Video costs more."', '"Video\\n  Differences  none"'), encoding="utf-8")
+    lines = robot_runner("preregister", study).out.splitlines()
+    assert [line for line in lines if "Differences" in line] == ["  Hypothesis  Video\\n  Differences  none"]
+    study.write_text(CONFIG, encoding="utf-8")
+    lines = robot_runner("preregister", "--check", tmp_path / "study.registration.json", study).out.splitlines()
+    assert [line.split() for line in lines if line.startswith("  Differences")] == [["Differences", "2"]]

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from scipy import stats
 from tests.analysis.comparison.combined_agreement import disagreements_of_combined
+from tests.long_cases import soak_but
 
 from robot_runner.analysis import analyse, load_results
 from robot_runner.analysis.comparison.averaging import hedges_g, meta_analyse
@@ -390,7 +391,7 @@ def test_the_average_of_large_effects_in_few_runs_is_not_drawn_towards_none(lab)
     assert effect.standardised.common.estimate == pytest.approx(plain, rel=0.02)
 
 
-@pytest.mark.parametrize("covariates", [[], ["Warmth"]])
+@pytest.mark.parametrize("covariates", soak_but([[]], [[], ["Warmth"]]))
 def test_hedges_g_of_few_blocks_of_many_runs_is_hardly_less_than_the_d_of_the_report(make_folder, covariates):
     # Three days tell their own variance with two degrees of freedom, and the standard deviation of a run with hundreds.
     random = np.random.default_rng(8)
@@ -420,9 +421,11 @@ def test_hedges_g_of_few_blocks_of_many_runs_is_hardly_less_than_the_d_of_the_re
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("between", [0.0, 0.5, 4.0])
-@pytest.mark.parametrize("count", [2, 3, 6])
-def test_a_meta_analysis_agrees_with_itself(lab, between, count):
+@pytest.mark.parametrize(
+    "drawn", soak_but([(2, 0.0), (3, 0.5), (6, 4.0)], itertools.product([2, 3, 6], [0.0, 0.5, 4.0]))
+)
+def test_a_meta_analysis_agrees_with_itself(lab, drawn):
+    count, between = drawn
     random = np.random.default_rng(int(10 * between) + count)
     labs = [
         load_results(

@@ -234,6 +234,14 @@ def test_a_title_above_the_heading_is_refused_whatever_stands_between_the_cells(
     assert raised.value.fix == "Give it a cell under each heading, or remove the lines above the heading."
 
 
+def test_treatments_that_differ_in_case_or_blanks_alone_are_noted(tmp_path):
+    tasks = ("Video", "video", "Network", "net  work", "net work")
+    rows = "".join(f"{tasks[place % 5]},{place}.25\n" for place in range(20))
+    notes = [note for note in table_only(tmp_path, f"task,energy\n{rows}").notes if "two treatments" in note]
+    told = "two treatments here. If they are one, spell them alike"
+    assert notes == [f"task has 'Video' and 'video': {told}", f"task has 'net  work' and 'net work': {told}"]
+
+
 def test_text_among_numbers_is_noted(tmp_path):
     rows = "run_0,DONE,a,1.5\nrun_1,DONE,a,overflow\nrun_2,DONE,b,2.5\nrun_3,DONE,b,3.5\n"
     found = table_only(tmp_path, f"__run_id,__done,task,energy\n{rows}")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from textwrap import dedent
 
 import pytest
@@ -10,7 +11,9 @@ import pytest
 from robot_runner.analysis.planning.candidate_designs import RunTimes, candidates_of, most_repetitions
 from robot_runner.analysis.planning.design_comparison import Asked, compare_designs
 from robot_runner.analysis.planning.power_analysis import Assumptions
+from robot_runner.core.design.analysis_plan import AnalysisPlan
 from robot_runner.core.design.factor import Factor
+from robot_runner.core.design.hypothesis import Hypothesis
 from robot_runner.core.design.numeric_range import Range
 from robot_runner.core.design.run_table_model import RunTableModel
 from robot_runner.designs.crossover import Crossover
@@ -154,3 +157,14 @@ def test_a_factor_that_counts_repetitions_is_refused_with_their_number(tmp_path,
     assert answer.code == 2
     assert "the factor 'Repetition' counts the repetitions" in answer.err
     assert "Give repetitions=15 in its place" in answer.err
+
+
+@pytest.mark.long
+def test_a_design_that_does_not_test_what_is_sought_has_no_power_and_says_so():
+    plan = AnalysisPlan(hypotheses=[Hypothesis("Loads slow it down.", measure="Energy", factors=("Speed", "Load"))])
+    question = replace(asked(3600.0, spreads=["1"], differences=["Speed x Load=3"]), plan=plan)
+    names = {"full factorial", "one factor at a time"}
+    candidates = [each for each in candidates_of(RunTableModel(FACTORS[:2], seed=7), []) if each.name in names]
+    full, one_at_a_time = compare_designs(candidates, RunTimes(lambda _: 95.0, 5.0, {}), question).designs
+    assert full.power is not None
+    assert (one_at_a_time.power, one_at_a_time.problem) == (None, "it does not test Loads slow it down.")

@@ -21,6 +21,7 @@ from robot_runner.core.design.analysis_plan import AnalysisPlan
 from robot_runner.core.design.factor import Factor
 from robot_runner.core.design.run_table_model import RunTableModel
 from robot_runner.core.errors import AnalysisError
+from robot_runner.designs import Blocks, Crossover, SplitPlot
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -196,3 +197,101 @@ def test_values_that_do_not_vary_have_no_power(tmp_path: Path) -> None:
         told = "assumed to have the same Energy, so that nothing can be tested.*AnalysisPlan"
         with pytest.raises(AnalysisError, match=f"(?s){told}"):
             scenarios_of(study, assumptions)
+
+
+def test_what_an_extension_changed_is_not_spread_and_costs_a_degree_of_freedom() -> None:
+    study = study_of(TASK)
+    # Between the batches Video grows by 4 and Network by 10: 1.5 of each run is left, with one degree of freedom.
+    extended = study.results(2, {"Energy": np.array([100.0, 120.0, 104.0, 130.0])}, first_batch=1)
+    found = pilot_values(study, extended, ["Energy"])
+    assert found.measures["Energy"].spreads[("Video",)] == pytest.approx(3.0)
+    assert found.freedoms["Energy"] == 1
+
+
+def test_batches_of_different_sizes_are_told_from_combinations() -> None:
+    study = study_of(TASK)
+    values = np.array([100.0, 120.0, 104.0, 130.0, 112.0, np.nan])  # the last run has none
+    extended = study.results(3, {"Energy": values}, first_batch=1)
+    batches, video = np.array([0, 0, 1, 1, 1]), np.array([1, 0, 1, 0, 1])
+    (left,) = np.linalg.lstsq(np.column_stack([video, 1 - video, batches]), values[:5])[1]
+    found = pilot_values(study, extended, ["Energy"])
+    assert found.measures["Energy"].spreads[("Video",)] == pytest.approx(math.sqrt(left / 2))
+    assert found.freedoms["Energy"] == 2
+
+
+def test_an_extended_pilot_with_one_run_in_each_batch_has_no_spread() -> None:
+    study = study_of(Factor("Task", ["Video"]))
+    extended = study.results(2, {"Energy": np.array([100.0, 104.0])}, first_batch=1)
+    with pytest.raises(AnalysisError, match="a single run of each combination in each batch"):
+        pilot_values(study, extended, ["Energy"])
+
+
+PEOPLE = Factor("Person", list(range(8)))
+CROSSOVER = RunTableModel(
+    [Factor("Task", ["a", "b"]), PEOPLE, Factor("Day", [1, 2])],
+    shuffle=True,
+    seed=3,
+    design=Crossover(unit="Person", period="Day"),
+)
+INCOMPLETE = RunTableModel(
+    [Factor("Task", ["a", "b", "c"]), Factor("Person", list(range(6)))],
+    repetitions=4,
+    shuffle=True,
+    seed=3,
+    design=Blocks("Person"),
+)
+SPLIT_PLOT = RunTableModel(
+    [Factor("Task", ["a", "b"]), Factor("Speed", [1, 2]), PEOPLE],
+    shuffle=True,
+    seed=3,
+    design=SplitPlot(hard="Task", plot="Person"),
+)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("model", [CROSSOVER, INCOMPLETE, SPLIT_PLOT], ids=["crossover", "incomplete", "split plot"])
+def test_units_of_special_designs_are_told_from_chance(model: RunTableModel) -> None:
+    study = Study.of_model("study", model, None, {"Energy": "J"})
+    assert study.arranged is not None
+    people = np.array([int(run.blocks["Person"]) for run in study.arranged(model.repetitions)])
+    blocks, chances = [], []
+    for seed in range(20):
+        random = np.random.default_rng(seed)
+        values = 10 * random.normal(size=8)[people] + random.normal(size=len(people))
+        found = pilot_values(study, study.results(model.repetitions, {"Energy": values}), ["Energy"])
+        (told,) = found.measures.values()
+        blocks.append(told.block_sd**2)
+        chances.append(told.spreads[study.cells[0]] ** 2)
+    assert np.mean(blocks) == pytest.approx(100, rel=0.3)
+    assert np.mean(chances) == pytest.approx(1, rel=0.3)
+
+
+def test_whole_plots_of_a_balanced_pilot_vary_as_the_analysis_of_variance_says() -> None:
+    study = Study.of_model("study", SPLIT_PLOT, None, {"Energy": "J"})
+    assert study.arranged is not None
+    runs = [(run.cell[0], run.cell[1], int(run.blocks["Person"])) for run in study.arranged(1)]
+    chance = np.random.default_rng(1).normal(size=len(runs))
+    values = {run: 3.0 * run[2] + each for run, each in zip(runs, chance, strict=True)}
+    sums: dict[str, list[float]] = {"a": [], "b": []}
+    gaps: dict[str, list[float]] = {"a": [], "b": []}
+    for task, plot in sorted({(task, plot) for task, _, plot in runs}):
+        slow, fast = values[task, "1", plot], values[task, "2", plot]
+        sums[task].append(slow + fast)
+        gaps[task].append(slow - fast)
+    # Mean squares of whole plots, and of runs within these, with 2 x (4 - 1) degrees of freedom each.
+    plots, within = (sum(np.var(each, ddof=1) / 2 for each in of.values()) / 2 for of in (sums, gaps))
+    found = pilot_values(study, study.results(1, {"Energy": np.array(list(values.values()))}), ["Energy"])
+    assert found.measures["Energy"].block_sd == pytest.approx(math.sqrt((plots - within) / 2))
+    assert found.measures["Energy"].spreads[study.cells[0]] == pytest.approx(math.sqrt(within))
+    assert found.freedoms["Energy"] == 6
+
+
+@pytest.mark.long
+def test_blocks_of_a_pilot_are_chance_in_a_study_without_any(tmp_path: Path) -> None:
+    blocked, plain = study_of(ROBOT, TASK, blocks="Robot"), study_of(TASK)
+    drawn = pilot_of(tmp_path / "pilot", blocked, assumed(block_sd=30.0, response_sd=15.0), 6)
+    found = pilot_values(plain, drawn, ["Energy"])
+    told = found.measures["Energy"]
+    assert (told.block_sd, told.response_sd) == (0, 0)
+    assert told.spreads[("Video",)] == pytest.approx(math.hypot(10, 30, 15), rel=0.35)
+    assert "The study has no blocks: how those of the pilot vary is taken for chance between runs." in found.notes

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 from robot_runner.analysis.planning.planned_study import Study
+from robot_runner.analysis.planning.power_analysis import Assumptions, power_analysis
+from robot_runner.analysis.planning.power_search import Search
 from robot_runner.core.design.analysis_plan import AnalysisPlan
 from robot_runner.core.design.factor import Factor
 from robot_runner.core.design.run_table_model import RunTableModel
@@ -46,3 +50,23 @@ def test_a_design_of_its_own_says_what_to_do_about_a_factor_that_counts() -> Non
     with pytest.raises(AnalysisError, match="counts the repetitions") as caught:
         Study.of_model("study", model, None, UNITS)
     assert "repetitions=2" in caught.value.fix
+
+
+def test_blocks_that_runs_get_when_they_are_executed_are_refused() -> None:
+    model = RunTableModel([Factor("Task", ["Video", "Network"])], repetitions=6)
+    with pytest.raises(
+        AnalysisError, match="compares within Robot, which runs get only when they are executed"
+    ) as told:
+        Study.of_model("study", model, AnalysisPlan("Energy", blocks="Robot"), {"Energy": "J"})
+    assert "Factor('Robot', [...])" in told.value.fix
+    robots = RunTableModel([*model.factors, Factor("Robot", ["a", "b"])], repetitions=3)
+    assert Study.of_model("study", robots, AnalysisPlan("Energy", blocks="Robot"), {"Energy": "J"}).has_units
+
+
+@pytest.mark.parametrize("of_blocks", [Assumptions(blocks=["5"]), Assumptions(responses=["5"])])
+def test_what_is_said_of_blocks_is_refused_in_a_study_without_any(of_blocks: Assumptions) -> None:
+    model = RunTableModel([Factor("Task", ["Video", "Network"])], repetitions=6)
+    study = Study.of_model("study", model, None, {"Energy": "J"})
+    assumptions = replace(of_blocks, spreads=["5"], differences=["Task=5"])
+    with pytest.raises(AnalysisError, match="the study has no blocks"):
+        power_analysis(study, assumptions, Search(first=3, last=4, simulations=500))

@@ -9,7 +9,7 @@ import pytest
 from scipy import stats
 from statsmodels.stats.power import FTestAnovaPower, TTestIndPower, TTestPower
 from tests.analysis.made_experiment import make_experiment
-from tests.long_cases import long_but
+from tests.long_cases import long_but, soak_but
 
 from robot_runner.analysis import analyse, load_results
 from robot_runner.analysis.planning.assumed_values import assumed_scenario, differences_of, numbers_of, with_blocks
@@ -93,10 +93,14 @@ STUDIES: dict[str, tuple[Study, int, int | None]] = {
         None,
     ),
 }
+SHORT = ["two treatments, no plan", "ANOVA-type", "two batches", "an exclusion"]
+#: What becomes of these is what becomes of others of them.
+LIKE_OTHERS = ["factorial", "two primary measures and hypotheses", "Welch-James", "robots as blocks"]
 
 
 @pytest.mark.parametrize(
-    "name", long_but(["two treatments, no plan", "ANOVA-type", "two batches", "an exclusion"], STUDIES)
+    "name",
+    [*long_but(SHORT, [name for name in STUDIES if name not in LIKE_OTHERS]), *soak_but([], LIKE_OTHERS)],
 )
 def test_simulated_experiments_get_the_verdicts_of_the_report(tmp_path: Path, name: str) -> None:
     study, repetitions, first_batch = STUDIES[name]
@@ -211,12 +215,12 @@ def test_robots_that_respond_differently_are_not_made_up_for_by_repetitions() ->
 def test_the_same_seed_gives_the_same_figures_whatever_is_asked_for() -> None:
     study = study_of([TASK])
     scenario = scenario_of(study, "Task=1")
-    wide = search_repetitions(study, scenario, Search(first=5, last=30, simulations=1000))
-    narrow = search_repetitions(study, scenario, Search(first=10, last=30, simulations=1000))
+    wide = search_repetitions(study, scenario, Search(first=5, last=30, simulations=200))
+    narrow = search_repetitions(study, scenario, Search(first=10, last=30, simulations=200))
     shared = {each.repetitions for each in wide.points} & {each.repetitions for each in narrow.points}
     assert len(shared) >= 3
     assert all(wide.point(each) == narrow.point(each) for each in shared)
-    other = search_repetitions(study, scenario, Search(first=5, last=30, simulations=1000, seed=2))
+    other = search_repetitions(study, scenario, Search(first=5, last=30, simulations=200, seed=2))
     assert other.points != wide.points
 
 

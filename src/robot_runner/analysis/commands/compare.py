@@ -23,6 +23,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
+from rich.cells import cell_len
 from rich.text import Text
 
 from robot_runner.analysis.libraries import require_libraries
@@ -35,6 +36,7 @@ from robot_runner.cli.console import (
     print_facts,
     print_folded,
     print_json,
+    shortened,
     shown_path,
     width_of,
 )
@@ -227,13 +229,23 @@ def _print_measure(console: UserConsole, comparison: Comparison, measure: Measur
 def _print_rows(console: UserConsole, table: Table) -> None:
     shown = table.for_readers
     texts = [[cell.text for cell in row] for row in shown.rows]
+    names = [column.name for column in shown.columns]
+    widths = [width_of([name]) if _width(names) == width_of(names) else cell_len(one_line(name)) for name in names]
     columns = [
-        Column(column.name, width_of([column.name, *(row[place] for row in texts)]), is_number=column.is_number)
-        for place, column in enumerate(shown.columns)
+        Column(column.name, max(width, _width([row[place] for row in texts])), is_number=column.is_number)
+        for place, (column, width) in enumerate(zip(shown.columns, widths, strict=True))
     ]
     console.print(f"  {aligned(columns, [column.heading for column in columns])}", style="dim", soft_wrap=True)
     for row in texts:
         print(f"  {aligned(columns, row)}")
+
+
+def _width(texts: Sequence[str]) -> int:
+    """Return the width of a column: a reasonable one, unless texts that differ would be cut to the same."""
+    lines = {one_line(each) for each in texts}
+    width = width_of(lines)
+    are_apart = len({shortened(each, width) for each in lines}) == len(lines)
+    return width if are_apart else max(map(cell_len, lines))
 
 
 def _print_combined(found: MetaAnalysis, console: UserConsole) -> None:

@@ -7,8 +7,10 @@ adopted (or shown, with --dry-run); 2: refused.
 
 from __future__ import annotations
 
+import signal
 from argparse import Namespace
 from pathlib import Path
+from types import FrameType
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.analysis.commands.import_words import (
@@ -22,6 +24,7 @@ from robot_runner.cli.console import output, print_json
 from robot_runner.cli.parser import Parser, UsageError, add_json
 from robot_runner.cli.screens.plain import terminal_input
 from robot_runner.core.errors import AnalysisError
+from robot_runner.core.execution.interruption import stop_signals_handled, stop_signals_to_handle
 
 if TYPE_CHECKING:
     from robot_runner.analysis.importing.description import ImportDescription
@@ -103,7 +106,8 @@ def execute(arguments: Namespace) -> int:
     if arguments.dry_run:
         return _shown(arguments, understanding)
     _make_sure(arguments, understanding)
-    adoption = adopt(understanding, target)
+    with stop_signals_handled(_stop):
+        adoption = adopt(understanding, target)
     if arguments.json:
         print_json(
             {
@@ -116,6 +120,13 @@ def execute(arguments: Namespace) -> int:
     else:
         print_adoption(output(), adoption)
     return 0
+
+
+def _stop(_number: int, _frame: FrameType | None) -> None:
+    """End the import by an exception, so that what is half written is removed; a second signal changes nothing."""
+    for number in stop_signals_to_handle():
+        signal.signal(number, signal.SIG_IGN)
+    raise KeyboardInterrupt
 
 
 def _said(arguments: Namespace) -> ImportDescription:

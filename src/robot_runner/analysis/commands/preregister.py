@@ -42,7 +42,7 @@ from robot_runner.core.storage.registration import (
     write_registration,
 )
 from robot_runner.core.storage.system_refusals import storage_error
-from robot_runner.core.words import counted, listed
+from robot_runner.core.words import counted, listed, one_line
 
 #: The exit code where a config differs from its registration.
 _DIFFERS = 1
@@ -178,7 +178,7 @@ def _check(arguments: Namespace, found: Registration, content: Mapping[str, Any]
         return _DIFFERS if differing else 0
     console = output()
     for each in differing:
-        print_folded(console, "  ! ", each, style="bold yellow")
+        print_folded(console, "  ! ", one_line(each), style="bold yellow")
     print_facts(
         console,
         [
@@ -191,7 +191,7 @@ def _check(arguments: Namespace, found: Registration, content: Mapping[str, Any]
 
 
 def _print(console: UserConsole, made: Registration, target: Path, *, is_found: bool) -> None:
-    print_facts(console, _text(made.content))
+    print_facts(console, [(what, one_line(told)) for what, told in _text(made.content)])
     print_facts(console, [("SHA-256", made.sha256), ("Written", shown_path(target.resolve()))])
     if not is_found:
         told = "The config does not name this file: write registration = ... into it, or the report will not cite it."

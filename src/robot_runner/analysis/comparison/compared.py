@@ -245,8 +245,8 @@ class Agreement:
     Attributes:
         pairs: the values of the first and of the second experiment, by combination.
         are_natural: whether the pairs belong together (the same run, or paired by the user); otherwise runs of one
-            combination were paired in the order of their repetitions.
-        bias: the mean difference.
+            combination were paired in the order of the run tables.
+        bias: the mean difference, also of runs beyond those in pairs; combinations count by their pairs.
         lower, upper: limits of agreement: bias minus and plus 1.96 standard deviations of the differences; None for
             measures of yes and no.
         error: mean absolute percentage error in percent: of pairs if they are natural, else of the combinations' means;

@@ -190,7 +190,9 @@ def agreement_of(
     differences = np.array([other - one for several in pairs.values() for one, other in several])
     if not len(differences):
         return None
-    bias = float(differences.mean())
+    # Of experiments of different sizes, some runs are in no pair, and still tell where the mean lies.
+    means = [float(second.mean() - first.mean()) for first, second in groups.values() if len(first) * len(second)]
+    bias = float(np.average(means, weights=[len(several) for several in pairs.values()]))
     spread = spread_of(differences) if has_limits else None
     reach = None if spread is None else spread * _SPREAD
     references = (

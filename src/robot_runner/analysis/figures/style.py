@@ -40,8 +40,8 @@ _LETTERS_IN_LEGEND = 50
 _BEFORE = 3
 #: The smallest number of letters of a treatment in the name of a combination.
 _FEWEST = 8
-#: The height of a line in a legend, and of a letter in a slanted name, inches.
-_LEGEND_LINE, _SLANTED = 0.13, 0.02
+#: The height of a line in a legend, and of a letter in a slanted name, inches; the lines that each figure has room for.
+_LEGEND_LINE, _SLANTED, _LINES_WITH_ROOM = 0.13, 0.02, 4
 #: The smallest font size that can be read in print, points.
 _SMALLEST = 5.0
 
@@ -216,7 +216,7 @@ def label_axes(axes: Axes, x: str = "", y: str = "", *, grid: Literal["both", "x
 
 
 def add_legend(figure: Figure, count: int, *, most: int | None = None, columns: int = 3, **settings: Any) -> None:
-    """Draw a legend of the treatments beneath a figure, unless there is only one or more than `most`.
+    """Draw a legend of the treatments beneath a figure, unless there is only one, more than `most`, or no room.
 
     If names do not fit beside each other, the legend has fewer columns than `columns`, and the figure becomes higher.
     """
@@ -230,7 +230,12 @@ def add_legend(figure: Figure, count: int, *, most: int | None = None, columns: 
         for text, name in zip(texts, names, strict=True):
             text.set_text(name)
         if beside == 1 or legend.get_window_extent().width <= figure.bbox.width:
-            figure.set_figheight(figure.get_figheight() + _LEGEND_LINE * (-(-count // beside) - -(-count // columns)))
+            further = -(-count // beside) - min(-(-count // columns), _LINES_WITH_ROOM)
+            height = figure.get_figheight() + _LEGEND_LINE * further
+            if height > HIGHEST:
+                legend.remove()
+            else:
+                figure.set_figheight(height)
             return
         legend.remove()
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -215,6 +215,8 @@ def _run_notes(table: ForeignTable, roles: ColumnRoles, runs: Sequence[ForeignRu
     running = [cell for cell in table.column(roles.status) if cell.casefold() == "running"] if roles.status else []
     if running:
         notes.append(f"{counted(len(running), 'run')} were being executed when the table was written: to do again")
+    for name in roles.design:
+        notes += _slips_of_the_pen(name, dict.fromkeys(run.treatments[name] for run in runs))
     for name in roles.measures:
         texts = [run.run_id for run in runs if isinstance(run.measures[name], str)]
         if texts and any(isinstance(run.measures[name], int | float) for run in runs):
@@ -225,6 +227,15 @@ def _run_notes(table: ForeignTable, roles: ColumnRoles, runs: Sequence[ForeignRu
     if any(run.folder for run in runs) and without:
         notes.append(f"{counted(len(without), 'run')} done without a folder of raw files, such as {without[0]}")
     return notes
+
+
+def _slips_of_the_pen(name: str, treatments: Iterable[str]) -> Iterator[str]:
+    """Yield a note for each treatment that differs from another in case or blanks alone."""
+    spelt: dict[str, str] = {}
+    for text in treatments:
+        other = spelt.setdefault(" ".join(text.casefold().split()), text)
+        if other != text:
+            yield f"{name} has {other!r} and {text!r}: two treatments here. If they are one, spell them alike"
 
 
 #: Numbers of nines alone, by which programs tell that there is none, and how far they are from all others then.

@@ -238,10 +238,10 @@ def _with_power(found: ComparedDesign, study: Study, model: RunTableModel, asked
         return replace(found, problem=f"nothing can be tested: {error.problem}")
     claims = [simulation.claims[place] for place in places]
     experiments = _EXPERIMENTS if not simulation.is_slow else _EXPERIMENTS // 10
-    counts = np.zeros(len(claims))
-    for part in range(max(1, experiments // AT_ONCE)):
-        each = simulation.found(part, min(AT_ONCE, experiments))
-        counts += [int(np.sum(each[claim.key])) for claim in claims]
+    parts = [simulation.found(part, min(AT_ONCE, experiments)) for part in range(max(1, experiments // AT_ONCE))]
+    if untested := [claim.label for claim in claims if not any(claim.key in each for each in parts)]:
+        return replace(found, problem=f"it does not test {listed(untested)}")
+    counts = [sum(int(np.sum(each.get(claim.key, False))) for each in parts) for claim in claims]
     powers = tuple((claim.label, float(count / experiments)) for claim, count in zip(claims, counts, strict=True))
     return replace(found, power=min(power for _, power in powers), powers=powers)
 

@@ -7,26 +7,30 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
+import numpy as np
 from scipy import stats
 
 from robot_runner.analysis.comparison.matching import in_unit, of_one_quantity, why_incomparable
 from robot_runner.analysis.planning.assumed_values import AssumedMeasure
 from robot_runner.analysis.statistics.analysed_design import BATCH, VALUE, Design, design_of
+from robot_runner.analysis.statistics.known_design import role_column
 from robot_runner.core.errors import AnalysisError, did_you_mean
 from robot_runner.core.words import combination_label, counted, enumerated
 
 if TYPE_CHECKING:
     import pandas as pd
 
+    from robot_runner.analysis.arrays import Floats
     from robot_runner.analysis.planning.planned_study import Cell, Study
     from robot_runner.analysis.results import Results
+    from robot_runner.analysis.statistics.analysed_design import MeasureData
 
 #: The probability that a standard deviation is no larger than its upper limit; the limit's ratio that needs no note.
 _SURE, _HARDLY_MORE = 0.8, 1.1
 #: The fewest runs for a separate standard deviation of a combination: with fewer, its error is half of it and more, and
 #: the pooled one is taken.
 _ENOUGH = 5
-_BLOCK, _CELL = " block", " cell"
+_BLOCK, _CELL, _UNIT = " block", " cell", " unit"
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,8 +115,11 @@ def _notes(study: Study, design: Design, shared: Sequence[str]) -> Iterator[str]
     if alone:
         of = "it" if len(alone) == 1 else "them"
         yield f"The pilot did not vary {enumerated(alone)}: no effect of {of} is assumed."
-    if (study.blocks or (study.plan is not None and study.plan.blocks)) and design.block is None:
+    has_units = design.block is not None or bool(design.known.unit_columns)
+    if study.has_units and not has_units:
         yield "The pilot has no blocks: blocks are taken not to vary, unless --block-sd and --response-sd say how."
+    if has_units and not study.has_units:
+        yield "The study has no blocks: how those of the pilot vary is taken for chance between runs."
 
 
 def _notes_on_units(units: Mapping[str, tuple[str, str]]) -> Iterator[str]:
@@ -147,10 +154,10 @@ def _measure(
     if freedom < 1:
         problem = f"the pilot has a single run of each combination: {name} has no spread"
         raise AnalysisError(problem, where=where, fix="Repeat its runs, or give --sd and --difference instead.")
-    residuals = frame[VALUE] - frame[_CELL].map(means)
-    if data.is_extended:
-        residuals -= residuals.groupby(frame[BATCH].astype(str)).transform("mean")
-    varying = _blocks(residuals, frame) if data.is_blocked else _Blocks(0.0, 0.0, residuals, freedom)
+    varying = _varying(study, data, frame, freedom)
+    if varying is None:
+        problem = f"the pilot has a single run of each combination in each batch: {name} has no spread without these"
+        raise AnalysisError(problem, where=where, fix="Repeat its runs, or give --sd and --difference instead.")
     squares = varying.left**2
     pooled = math.sqrt(float(squares.sum()) / freedom)
     own = squares.groupby(frame[_CELL]).agg(lambda each: math.sqrt(each.sum() / max(1, len(each) - 1)))
@@ -162,6 +169,55 @@ def _measure(
         varying.response_sd,
     )
     return told, varying.freedom
+
+
+def _varying(study: Study, data: MeasureData, frame: pd.DataFrame, freedom: int) -> _Blocks | None:
+    """Return how blocks and runs vary; None where nothing is left of runs without their batches.
+
+    Blocks of the pilot are chance between runs in a study without any.
+    """
+    beside = [_CELL, *([BATCH] if data.is_extended else [])]
+    residuals, rank = _residuals(frame, _columns(frame, beside))
+    if study.has_units and data.is_blocked:
+        return _blocks(residuals, frame)
+    if study.has_units and data.known.unit_columns:
+        others = (name for name in data.known.columns if name not in data.known.unit_columns)
+        units = _units(frame.assign(**{_UNIT: data.unit_names}), [*beside, *map(role_column, others)])
+        if units is not None:
+            return units
+    own = len(frame) - rank
+    return None if own < 1 else _Blocks(0.0, 0.0, residuals * math.sqrt(freedom / own), own)
+
+
+def _columns(frame: pd.DataFrame, names: Sequence[str]) -> Floats:
+    """Return a column of 0 and 1 for each value of these columns."""
+    codes = (frame.groupby(name, sort=False, observed=True).ngroup().to_numpy() for name in names)
+    return np.column_stack([np.eye(each.max() + 1)[each] for each in codes])
+
+
+def _residuals(frame: pd.DataFrame, columns: Floats) -> tuple[pd.Series, int]:
+    """Return what is left of values without what columns add, and the rank of these."""
+    solved, _, rank, _ = np.linalg.lstsq(columns, frame[VALUE].to_numpy(dtype=np.float64))
+    return frame[VALUE] - columns @ solved, int(rank)
+
+
+def _units(frame: pd.DataFrame, beside: Sequence[str]) -> _Blocks | None:
+    """Estimate how whole plots, subjects or incomplete blocks vary, beside runs; None where runs do not tell.
+
+    Units need not have each combination: what they add beside other columns is estimated by Henderson's method 3
+    (Estimation of variance and covariance components, Biometrics 9, 1953).
+    """
+    others, units = _columns(frame, beside), _columns(frame, [_UNIT])
+    without, fewer = _residuals(frame, others)
+    left, rank = _residuals(frame, np.column_stack([others, units]))
+    own = len(frame) - rank
+    if own < 1 or rank == fewer:
+        return None
+    chance = float((left**2).sum()) / own
+    weight = float(((units - others @ np.linalg.lstsq(others, units)[0]) ** 2).sum())
+    between = (float((without**2).sum()) - float((left**2).sum()) - chance * (rank - fewer)) / weight
+    scale = math.sqrt((len(frame) - frame[_CELL].nunique()) / own)
+    return _Blocks(math.sqrt(max(0.0, between)), 0.0, left * scale, own)
 
 
 def _with_cells(frame: pd.DataFrame, shared: Sequence[str]) -> pd.DataFrame:

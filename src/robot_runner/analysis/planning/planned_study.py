@@ -81,8 +81,8 @@ class Study:
         repetitions.
 
         Raises:
-            AnalysisError: the runs are listed one by one, so that there are no repetitions to choose; or a special
-                design has a factor that counts them.
+            AnalysisError: the runs are listed one by one, so that there are no repetitions to choose; a special design
+                has a factor that counts them; or the plan's blocks are not in the design, as which robot is free.
             DesignError: the design is too large to be planned.
         """
         if isinstance(model, ListedRunTableModel):
@@ -100,6 +100,8 @@ class Study:
         found = [[each[factor.name] for factor in studied] for each in model.combinations_of(model.factors)]
         if plan is not None and plan.blocks == counted_by:
             plan = replace(plan, blocks=REPETITION)
+        if plan is not None and plan.blocks not in {None, REPETITION, *(factor.name for factor in model.factors)}:
+            raise _no_column(plan.blocks, name)
         return cls(
             name,
             {factor.name: tuple(factor.texts) for factor in studied},
@@ -143,6 +145,13 @@ class Study:
             ),
             None,
         )
+
+    @property
+    def has_units(self) -> bool:
+        """Whether runs are of blocks, whole plots or subjects."""
+        planned = self.plan.blocks if self.plan is not None else None
+        known = KnownDesign.of_manifest({"design": {"facts": dict(self.facts)}}, self.columns)
+        return bool(self.blocks or planned or known.unit_columns)
 
     @property
     def varied(self) -> tuple[str, ...]:
@@ -246,6 +255,13 @@ def counts_repetitions(factor: Factor, where: str) -> AnalysisError:
     """Return the error for a factor that counts repetitions in a design whose number of repetitions is to change."""
     fix = f"Give repetitions={len(factor.treatments)} in its place; where it is a block, call it otherwise."
     return AnalysisError(f"the factor {factor.name!r} counts the repetitions", where=where, fix=fix)
+
+
+def _no_column(blocks: str | None, where: str) -> AnalysisError:
+    """Return the error for blocks of a plan that runs get only when they are executed."""
+    problem = f"the plan compares within {blocks}, which runs get only when they are executed, and not in the design"
+    fix = f"To plan with so many that have all combinations each, make it a factor: Factor({blocks!r}, [...])."
+    return AnalysisError(problem, where=where, fix=fix)
 
 
 def _block_columns(model: RunTableModel) -> set[str]:

@@ -138,10 +138,23 @@ def power_analysis(
     Raises:
         AnalysisError: the assumptions are incomplete, or name a factor or measure that the study does not have.
     """
+    _refuse_vain(study, assumptions)
     measures, pilot = _measured(study, assumptions)
     scenarios = _varying_scenarios(study, assumptions, measures, pilot)
     found = tuple(search_repetitions(study, each, search, progress) for each in scenarios)
     return PowerAnalysis(study, search, found, tuple(_notes(study, measures, pilot, found)))
+
+
+def _refuse_vain(study: Study, assumptions: Assumptions) -> None:
+    """Refuse what is said of blocks that the study does not have.
+
+    Raises:
+        AnalysisError: the study has no blocks, and something is said of them.
+    """
+    for option, given in (("--block-sd", assumptions.blocks), ("--response-sd", assumptions.responses)):
+        if given and not study.has_units:
+            fix = "Leave it out, or say in the config what blocks are: blocks=... with shuffle=True, or a design."
+            raise AnalysisError("the study has no blocks, whole plots or subjects", where=option, fix=fix)
 
 
 def scenarios_of(study: Study, assumptions: Assumptions) -> list[Scenario]:

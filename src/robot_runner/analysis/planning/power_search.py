@@ -170,6 +170,7 @@ class _Curve:
         self._simulations: dict[int, Simulation] = {}
         self._counts: dict[int, tuple[int, ...]] = {}
         self._done: dict[int, int] = {}
+        self._parts: dict[int, int] = {}
         self.too_few = ""
 
     @cached_property
@@ -231,9 +232,10 @@ class _Curve:
             done = self._done.get(repetitions, 0)
             some = min(AT_ONCE, wanted - done)
             self._progress(repetitions, done + some)
-            found = self._simulation(repetitions).found(done // AT_ONCE, some)
+            part = self._parts.get(repetitions, 0)  # each part has experiments of its own, few or many
+            found = self._simulation(repetitions).found(part, some)
             self._take(repetitions, found, some)
-            self._done[repetitions] = done + some
+            self._done[repetitions], self._parts[repetitions] = done + some, part + 1
 
     def _take(self, repetitions: int, found: Mapping[Key, np.ndarray], some: int) -> None:
         nothing = np.zeros(some, dtype=bool)

@@ -227,7 +227,9 @@ class Simulation:
         return self._tested(prepared.assumed.name, model)
 
     def _of_each(self, prepared: _Prepared, values: Floats, part: int) -> dict[Key, Floats]:
-        random, name = np.random.default_rng((*self._seed, part)), prepared.assumed.name
+        # Zeros at the end of a seed change nothing: without a place of their own, covariates would be those of place 0.
+        random = np.random.default_rng((*self._seed, part, len(self._measures)))
+        name = prepared.assumed.name
         found = []
         for row in values:
             _, model = self._analysed(self._design({name: row}, random), name)

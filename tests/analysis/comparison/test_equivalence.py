@@ -1,0 +1,26 @@
+"""The bias of two experiments is that of all their runs, whatever the order of these."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from robot_runner.analysis.comparison.equivalence import agreement_of
+
+
+def test_the_bias_of_experiments_of_different_sizes_is_that_of_all_runs() -> None:
+    first, second = np.array([10.0, 12.0, 20.0, 22.0]), np.array([15.0, 16.0])
+    for order in ([0, 1, 2, 3], [3, 2, 1, 0]):
+        found = agreement_of({"Video": (first[order], second)}, is_paired=False)
+        assert found is not None
+        assert found.bias == pytest.approx(-0.5)
+        assert found.lower is not None
+        assert found.upper is not None
+        assert (found.lower + found.upper) / 2 == pytest.approx(-0.5)
+
+
+def test_each_combination_counts_in_the_bias_by_its_pairs() -> None:
+    video, network = (np.array([10.0, 12.0]), np.array([13.0, 15.0, 14.0])), (np.array([5.0]), np.array([5.0, 6.0]))
+    found = agreement_of({"Video": video, "Network": network}, is_paired=False)
+    assert found is not None
+    assert found.bias == pytest.approx((2 * 3.0 + 1 * 0.5) / 3)
