@@ -37,7 +37,7 @@ _FILES = 20
 #: otherwise they would end alone, with idle processors beside them.
 _LONG = {
     *("adaptive", "cluster", "conditions", "docs", "examples", "firmware", "hostile", "page", "process"),
-    *("repository", "subjects"),
+    *("replication", "repository", "subjects"),
 }
 _NOTHING_CHOSEN = 5  # pytest's exit status where no test was chosen: all tests of a batch are `soak`, say
 #: What pytest counts, in the order of its last line.

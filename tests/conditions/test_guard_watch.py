@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 from tests.core.execution.conftest import execute_in
+from tests.long_cases import soak_but
 
 from robot_runner.replication.explanation import explain_run
 
@@ -81,7 +82,7 @@ def test_a_run_is_marked_and_goes_on(tmp_path: Path) -> None:
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("process", ["FORK", "SPAWN", "IN_PROCESS"])
+@pytest.mark.parametrize("process", soak_but({"FORK", "IN_PROCESS"}, ["FORK", "SPAWN", "IN_PROCESS"]))
 def test_an_attempt_is_repeated_while_there_is_one_left(tmp_path: Path, process: str) -> None:
     executed = guarded(tmp_path, "REPEAT", process=process)
     first, second, other = executed.journal("attempt_finished")

@@ -10,6 +10,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from tests.designs.factor_sets import every_pair, excluded_designs, factors_of, findings_of, rows_of, tuples_in
+from tests.long_cases import soak_but
 
 from robot_runner import Factor, RunTableModel
 from robot_runner.designs import CoveringArray
@@ -64,7 +65,7 @@ def covered_pairs(array: np.ndarray, levels: list[int]) -> int:
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("problem", PUBLISHED)
+@pytest.mark.parametrize("problem", soak_but({*PUBLISHED} - {"10^20", "4^15 3^17 2^29"}, PUBLISHED))
 def test_an_array_is_at_most_a_tenth_larger_than_the_best_published(problem: str) -> None:
     levels, published = PUBLISHED[problem]
     array = pairwise_array(levels, seed=0)
@@ -73,7 +74,7 @@ def test_an_array_is_at_most_a_tenth_larger_than_the_best_published(problem: str
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("problem", PUBLISHED_TRIPLES)
+@pytest.mark.parametrize("problem", soak_but({*PUBLISHED_TRIPLES} - {"10^1 6^2 4^3 3^1", "6^6"}, PUBLISHED_TRIPLES))
 def test_an_array_of_triples_is_not_much_larger_than_published_ones(problem: str) -> None:
     levels, published, times = PUBLISHED_TRIPLES[problem]
     rows = rows_of(RunTableModel(factors_of(levels), design=CoveringArray(strength=3)))

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
+from tests.long_cases import soak_but
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -130,7 +131,7 @@ def test_a_table_that_is_too_wide_is_noticed(site: Path, tab: Any) -> None:
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("scheme", SCHEMES)
+@pytest.mark.parametrize("scheme", soak_but({"dark"}, SCHEMES))
 def test_everything_is_legible(scheme: str, site: Path, tab: Any) -> None:
     tab.call("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": scheme}])
     faint = {}

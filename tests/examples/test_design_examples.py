@@ -52,7 +52,7 @@ def planned_in(folder: Path) -> list[tuple[str, ...]]:
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("name", soak_but({"central_composite", "covering_array", "one_factor_at_a_time"}, RUNS))
+@pytest.mark.parametrize("name", soak_but({"central_composite", "one_factor_at_a_time"}, RUNS))
 def test_the_example_of_a_design_is_executed_and_resumed_with_the_same_runs(
     name: str, executed: Callable[..., int], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

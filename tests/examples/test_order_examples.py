@@ -27,7 +27,7 @@ EXPECTED = {
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("name", soak_but({"crossover", "split_plot"}, EXPECTED))
+@pytest.mark.parametrize("name", soak_but({"split_plot"}, EXPECTED))
 def test_an_example_shows_its_layout_is_executed_and_is_analysed(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -19,7 +19,13 @@ from robot_runner.testing import FakeClock, make_context, rehearse
 PATH = os.environ.get("PATH", "") + ":/usr/sbin:/sbin"  # where Debian keeps what formats
 
 each_file_system = pytest.mark.parametrize(
-    ("bits", "is_partitioned"), [(16, True), (16, False), (32, True), (32, False)]
+    ("bits", "is_partitioned"),
+    [
+        (16, True),
+        pytest.param(16, False, marks=pytest.mark.soak),
+        pytest.param(32, True, marks=pytest.mark.soak),
+        (32, False),
+    ],
 )
 
 
@@ -48,7 +54,7 @@ def test_the_file_holds_what_went_up_the_line(board, tmp_path, bits, is_partitio
     not (shutil.which("mkfs.fat", path=PATH) and shutil.which("mcopy")),
     reason="no tools for FAT are installed (Debian: apt install dosfstools mtools)",
 )
-@pytest.mark.parametrize(("bits", "size"), [(16, 32), (32, 40)])
+@pytest.mark.parametrize(("bits", "size"), [pytest.param(16, 32, marks=pytest.mark.soak), (32, 40)])
 def test_a_card_that_was_formatted_and_filled_by_others_is_written_and_stays_sound(board, tmp_path, bits, size):
     card, zeros, copy = tmp_path / "card", tmp_path / "zeros", tmp_path / "INA219.BIN"
     for file, megabytes in ((card, size), (zeros, 1)):

@@ -7,6 +7,7 @@ import time
 
 import pytest
 from tests.firmware.measuring import MISSION, SWING, VOLTS, Steps, measure
+from tests.long_cases import soak_but
 
 from robot_runner.core.events.context import SystemClock
 from robot_runner.plugins import Profiler
@@ -31,7 +32,7 @@ def test_energy_is_right_and_no_sample_is_lost(board, tmp_path, load, seconds):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("skew", [-0.005, 0.005])
+@pytest.mark.parametrize("skew", soak_but([0.005], [-0.005, 0.005]))
 def test_a_resonator_that_is_half_a_percent_off_hardly_matters(board, tmp_path, skew):
     with board(load=MISSION.words, volts=VOLTS, skew=skew) as meter:
         measured = measure(meter, tmp_path, 17.0)
@@ -40,7 +41,7 @@ def test_a_resonator_that_is_half_a_percent_off_hardly_matters(board, tmp_path, 
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("load", [MISSION, SWING], ids=["stepped", "sinusoidal"])
+@pytest.mark.parametrize("load", soak_but([MISSION], [MISSION, SWING]), ids=["stepped", "sinusoidal"])
 def test_energy_is_right_where_one_byte_in_a_hundred_is_corrupt(board, tmp_path, load):
     with board(load=load.words, volts=VOLTS, corrupt=0.01, seed=7) as meter:
         measured = measure(meter, tmp_path, 8.0)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 from tests.firmware.measuring import OWN_HERTZ, VOLTS, Pulses, Sine, measure
+from tests.long_cases import soak_but
 
 PROMISED = 0.025  # parts of one
 
@@ -19,6 +20,7 @@ IN_STEP_WITH_THE_SENSOR = [
     for phase in (0.0, 0.5)
 ]
 FAST = [Pulses(0.0, 2.0, hertz, 0.1) for hertz in (40.0, 100.0, 617.3, 1000.0, 1880.0, 20_000.0)]
+EVERY = [*IN_STEP_WITH_THE_SAMPLES, *IN_STEP_WITH_THE_SENSOR, *FAST]
 
 
 def name(load) -> str:
@@ -34,7 +36,7 @@ def error(board, tmp_path, load, **settings) -> float:
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("load", [*IN_STEP_WITH_THE_SAMPLES, *IN_STEP_WITH_THE_SENSOR, *FAST], ids=name)
+@pytest.mark.parametrize("load", soak_but(EVERY[::2], EVERY), ids=name)
 def test_a_synchronous_load_is_measured_right(board, tmp_path, load):
     assert abs(error(board, tmp_path, load)) <= PROMISED
 

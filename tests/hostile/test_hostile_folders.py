@@ -17,8 +17,8 @@ if TYPE_CHECKING:
     from tests.hostile.hostile_original import Original
 
 BOUNDED = 60
-#: In as many parts: the first is executed always, four of them by CI, all in `make soak`.
-PARTS, IN_CI = 12, 4
+#: In as many parts: the first is executed always, two of them by CI, all in `make soak`.
+PARTS, IN_CI = 12, 2
 
 #: As many go through every command before a release.
 PROMISED = 250

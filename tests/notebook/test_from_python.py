@@ -20,6 +20,7 @@ import psutil
 import pytest
 from tests.conftest import written_config
 from tests.core.execution.conftest import RecordingObserver
+from tests.long_cases import soak_but
 from tests.waiting import wait_until
 
 from robot_runner import (
@@ -404,7 +405,7 @@ def test_where_what_takes_the_lines_fails_the_experiment_goes_on(wherever: Any, 
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("only", ["r_1", "r_1,r_3", ["r_1"], ("Task=Good",)])
+@pytest.mark.parametrize("only", soak_but(["r_1,r_3", ("Task=Good",)], ["r_1", "r_1,r_3", ["r_1"], ("Task=Good",)]))
 def test_runs_are_chosen_as_on_the_command_line(wherever: Any, tmp_path: Path, only: Any) -> None:
     config = written_config(tmp_path, "def populate_run_data(self, context): return {'Energy': 1.0}")
     config.write_text(config.read_text().replace("Video", "Good"))

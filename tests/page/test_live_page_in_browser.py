@@ -7,6 +7,7 @@ import re
 from typing import TYPE_CHECKING
 
 import pytest
+from tests.long_cases import soak_but
 from tests.page.conftest import executed
 from tests.waiting import wait_until
 
@@ -362,7 +363,7 @@ def test_10000_runs_are_shown_soon_and_scrolled_smoothly(
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("window", [{"width": 1280}, PHONE], ids=["desk", "phone"])
+@pytest.mark.parametrize("window", soak_but([PHONE], [{"width": 1280}, PHONE]), ids=["desk", "phone"])
 def test_means_are_in_sight_where_a_treatment_is_a_long_word(
     browser: Browser, serve_page: Callable[..., ServedPage], tmp_path: Path, window: dict[str, int]
 ) -> None:
@@ -455,7 +456,7 @@ NAMELESS = """(() => {
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("is_dark", [False, True], ids=["light", "dark"])
+@pytest.mark.parametrize("is_dark", soak_but([True], [False, True]), ids=["light", "dark"])
 def test_it_is_legible_and_can_be_used_by_keyboard(
     browser: Browser, serve_page: Callable[..., ServedPage], executed_demo: Path, *, is_dark: bool
 ) -> None:

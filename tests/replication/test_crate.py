@@ -83,7 +83,7 @@ def issues(monkeypatch):
     return validate
 
 
-@pytest.mark.long
+@pytest.mark.soak
 def test_the_crate_has_all_that_is_required_and_recommended(packed, issues):
     # Workflow Run Crate includes Process Run Crate, Workflow RO-Crate and RO-Crate: issues of all of them are reported.
     assert set(issues(packed.path, "workflow-run-crate")) == {CONTRADICTION}
@@ -147,7 +147,7 @@ def test_what_experiments_reports_and_exports_hold_is_not_called_binary_data(nam
     assert media_type_of(name).name == media_type
 
 
-@pytest.mark.long
+@pytest.mark.soak
 def test_the_validator_would_notice(unpacked, issues):
     path = unpacked / "ro-crate-metadata.json"
     crate = json.loads(path.read_text(encoding="utf-8"))

@@ -91,7 +91,7 @@ def test_what_was_replaced_is_told_by_file_line_and_kind_and_never_by_value(pack
 @pytest.mark.parametrize(
     ("name", "content"),
     [
-        ("notes.txt", "first line\nthe token is wanderlust and opens the door\n"),
+        pytest.param("notes.txt", "first line\nthe token is wanderlust and opens the door\n", marks=pytest.mark.soak),
         ("config/clone.sh", "# a comment\ngit clone https://adalovelace@git.example.org/nav.git\n"),
         ("runs/r_1/users.csv", "user,password,n\nada,wanderlust,3\n"),
     ],

@@ -35,7 +35,7 @@ OTHERS: dict[str, str] = {
             "core/storage/manifest.py: _governor",
             "core/storage/outliving.py: process_stat",
             "core/storage/outliving.py: program_name",
-            "core/storage/manifest.py: installed_system_packages",
+            "core/storage/manifest.py: _system_packages",
             "core/storage/manifest.py: _sha256",
             "core/execution/left_over.py: _is_lock",
             "core/execution/left_over.py: _boot",

@@ -8,10 +8,10 @@ import os
 from collections.abc import Callable
 from typing import Any
 
-import mujoco
 import numpy as np
 
 from robot_runner.core.errors import LinkError
+from robot_runner.simulator.physics_library import mujoco
 from robot_runner.simulator.sensors import PublishedTopic, header
 from robot_runner.simulator.simulated_clock import SimulatedClock
 from robot_runner.simulator.turtlebot3_parameters import Turtlebot3Parameters

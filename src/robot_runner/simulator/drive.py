@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-import mujoco
 import numpy as np
 
 from robot_runner.core.events.early_end import undivided
 from robot_runner.simulator.model import holding_torque, rolling_torque, slope_angle
 from robot_runner.simulator.physics import CORRECTION_STEPS, Physics
+from robot_runner.simulator.physics_library import mujoco
 from robot_runner.simulator.rooms import Pose
 from robot_runner.simulator.simulated_clock import STEP_NS, STEPS_PER_SECOND, tick_time
 from robot_runner.simulator.turtlebot3_parameters import Floats, Turtlebot3Parameters

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
 
-import mujoco
 import numpy as np
 
 from robot_runner.core.errors import LinkError, did_you_mean
+from robot_runner.simulator.physics_library import mujoco
 from robot_runner.simulator.rooms import Cylinder, Obstacle
 from robot_runner.simulator.simulated_clock import STEPS_PER_SECOND
 

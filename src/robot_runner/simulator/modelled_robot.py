@@ -8,7 +8,6 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-import mujoco
 import numpy as np
 
 from robot_runner.core.errors import LinkError, did_you_mean
@@ -17,6 +16,7 @@ from robot_runner.simulator.camera import Camera, camera_topics
 from robot_runner.simulator.drive import OdometryState
 from robot_runner.simulator.mjcf_interface import ActuatorKind, Joint, WheelPair, read_interface, read_model
 from robot_runner.simulator.physics import MORE_MEMORY, check_physics
+from robot_runner.simulator.physics_library import mujoco
 from robot_runner.simulator.rooms import Pose, Room
 from robot_runner.simulator.sensors import RAYS, PublishedTopic, imu, joint_state, laser_scan, odometry
 from robot_runner.simulator.simulated_clock import STEPS_PER_SECOND, SimulatedClock

@@ -9,13 +9,13 @@ from copy import copy
 from operator import itemgetter
 from typing import Protocol
 
-import mujoco
 import numpy as np
 import numpy.typing as npt
 
 from robot_runner.core.errors import LinkError
 from robot_runner.core.events.early_end import undivided
 from robot_runner.simulator.model import Body, holding_torque, world_model
+from robot_runner.simulator.physics_library import mujoco
 from robot_runner.simulator.rooms import ARENA, Obstacle
 from robot_runner.simulator.turtlebot3_parameters import Floats, Turtlebot3Parameters
 

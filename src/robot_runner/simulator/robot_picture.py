@@ -7,10 +7,9 @@ import struct
 import zlib
 from typing import TYPE_CHECKING
 
-import mujoco
-
 from robot_runner.simulator.camera import paint
 from robot_runner.simulator.model import burger_model
+from robot_runner.simulator.physics_library import mujoco
 from robot_runner.simulator.turtlebot3_parameters import Turtlebot3Parameters
 
 if TYPE_CHECKING:

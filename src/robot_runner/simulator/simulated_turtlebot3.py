@@ -23,10 +23,9 @@ from robot_runner.simulator.supply import Battery, CutOff, PowerModel, PowerSupp
 from robot_runner.simulator.turtlebot3_parameters import NoiseStreams, Turtlebot3Parameters
 
 if TYPE_CHECKING:
-    import mujoco
-
     from robot_runner.measuring.host import UtilisationSample
     from robot_runner.simulator.modelled_robot import ModelledRobot, RobotModel
+    from robot_runner.simulator.physics_library import mujoco
     from robot_runner.simulator.simulated_actions import SimulatedAction
 
     SimulatedRobot: TypeAlias = "SimulatedTurtlebot3 | ModelledRobot"

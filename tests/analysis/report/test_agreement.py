@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import json
+from itertools import product
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,6 +13,7 @@ from scipy import stats
 from tests.analysis.made_experiment import make_experiment
 from tests.analysis.report.agreement import disagreements
 from tests.analysis.statistics import reference_data as data
+from tests.long_cases import soak_but
 
 from robot_runner.analysis import load_results
 from robot_runner.analysis.report.writing import ReportFormat, write_report
@@ -22,6 +24,7 @@ if TYPE_CHECKING:
 
 #: Spreads of combinations, from alike to a hundred times larger.
 SPREADS = {"alike": (1, 1, 1, 1, 1, 1), "one is large": (1, 1, 1, 1, 1, 8), "all differ": (0.1, 0.5, 1, 2, 5, 10)}
+EFFECTS = {"none": (0, 0, 0), "one": (1.5, 0, 0), "all": (1, 1, 2)}
 PLAN = {
     "measures": ["Energy", "Time"],
     "family": "primary",
@@ -68,11 +71,13 @@ def made(folder: Path, spreads: tuple[float, ...], effects: tuple[float, float, 
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("spreads", SPREADS.values(), ids=SPREADS)
-@pytest.mark.parametrize("effects", [(0, 0, 0), (1.5, 0, 0), (1, 1, 2)], ids=["none", "one", "all"])
-def test_reports_of_unequal_spreads_agree_with_themselves(
-    tmp_path: Path, spreads: tuple[float, ...], effects: tuple[float, float, float]
-) -> None:
+@pytest.mark.parametrize(
+    "drawn",
+    soak_but([("alike", "none"), ("one is large", "one"), ("all differ", "all")], product(SPREADS, EFFECTS)),
+    ids=" ".join,
+)
+def test_reports_of_unequal_spreads_agree_with_themselves(tmp_path: Path, drawn: tuple[str, str]) -> None:
+    spreads, effects = SPREADS[drawn[0]], EFFECTS[drawn[1]]
     plan = {"analysis": PLAN} if sum(effects) > 1 else {}
     assert disagreements(made(tmp_path, spreads, effects, **plan)) == []
 
@@ -94,12 +99,11 @@ DISCLOSED: dict[str, dict[str, Any]] = {
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("choice", DISCLOSED.values(), ids=DISCLOSED)
-def test_reports_of_what_a_plan_leaves_out_or_adjusts_for_agree_with_themselves(
-    tmp_path: Path, choice: dict[str, Any]
-) -> None:
+@pytest.mark.parametrize("choice", soak_but({*DISCLOSED} - {"outliers"}, DISCLOSED))
+def test_reports_of_what_a_plan_leaves_out_or_adjusts_for_agree_with_themselves(tmp_path: Path, choice: str) -> None:
     doubts = {"r_1": "the sensor was hot", "r_10": "the sensor was hot"}
-    report = made(tmp_path, SPREADS["all differ"], (1, 1, 2), analysis={**PLAN, **choice}, doubts=doubts)
+    plan = {**PLAN, **DISCLOSED[choice]}
+    report = made(tmp_path, SPREADS["all differ"], (1, 1, 2), analysis=plan, doubts=doubts)
     assert disagreements(report) == []
 
 
@@ -126,7 +130,9 @@ PUBLISHED = {
 }
 
 
-@pytest.mark.parametrize("name", PUBLISHED)
+@pytest.mark.parametrize(
+    "name", soak_but({"sleep", "ToothGrowth", "warpbreaks", "ergoStool", "Higgins1990Table1"}, PUBLISHED)
+)
 def test_reports_of_published_data_agree_with_themselves(tmp_path: Path, name: str) -> None:
     given, blocks = PUBLISHED[name]
     groups = {(key,) if isinstance(key, str) else key: values for key, values in given.items()}

@@ -11,7 +11,7 @@ import pytest
 from tests.analysis.experiment_folders import searched
 from tests.analysis.made_experiment import make_experiment
 from tests.analysis.report.agreement import disagreements
-from tests.long_cases import long_but
+from tests.long_cases import long_but, soak_but
 
 from robot_runner.analysis import DeclaredDesign, load_results, with_declared_design
 from robot_runner.analysis.report.blocks import FigureBlock, Part
@@ -60,6 +60,10 @@ DESIGNS = {
     "split plot": ([Factor("Plot", [1, 2, 3, 4]), *TWO[:2]], SplitPlot("Speed", "Plot"), 2),
     "incomplete blocks": ([Factor("Day", [1, 2, 3]), THREE[0]], Blocks("Day"), 2),
 }
+SHORT = ["incomplete blocks", "Latin square", "central composite"]
+LONG = ["fraction", "one at a time", "D-optimal, interactions", "crossover", "split plot"]
+#: What is written of their tests is as of one of these.
+LIKE_OTHERS = ["repeated fraction", "covering array", "D-optimal", "Latin hypercube"]
 
 
 def report_of(folder: Path) -> dict[str, Any]:
@@ -81,7 +85,7 @@ def made(folder: Path, design: str, size: float) -> Path:
     return make_experiment(folder, factors, values, repetitions=repetitions, shuffle=True, chosen=chosen).root
 
 
-@pytest.mark.parametrize("design", long_but(["incomplete blocks", "Latin square", "central composite"], DESIGNS))
+@pytest.mark.parametrize("design", [*long_but(SHORT, [*SHORT, *LONG]), *soak_but([], LIKE_OTHERS)])
 def test_sentences_agree_with_the_tests_of_every_design(tmp_path: Path, design: str) -> None:
     for size in (0.0, 6.0):
         report = report_of(made(tmp_path / f"{size:g}" / "experiment", design, size))

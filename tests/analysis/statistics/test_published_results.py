@@ -157,12 +157,12 @@ def test_cliffs_delta_of_the_package_effsize():
     ("spread", "sizes", "delta"),
     [
         (3, [(5, 30)], 0.6),
-        (3, [(10, 30)], 0.85),
+        pytest.param(3, [(10, 30)], 0.85, marks=pytest.mark.soak),
         (3, [(30, 30)], 0.95),
-        (1, [(3, 10)], 0.3),
-        (1, [(20, 20)], 0),
+        pytest.param(1, [(3, 10)], 0.3, marks=pytest.mark.soak),
+        pytest.param(1, [(20, 20)], 0, marks=pytest.mark.soak),
         (1, [(2, 8), (8, 2)], 0),
-        (1, [(5, 5), (20, 20)], 0.6),
+        pytest.param(1, [(5, 5), (20, 20)], 0.6, marks=pytest.mark.soak),
     ],
 )
 def test_the_interval_of_cliffs_delta_holds_as_often_as_it_says(spread, sizes, delta):

@@ -4,6 +4,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 from tests.analysis.made_experiment import make_experiment
+from tests.long_cases import soak_but
 
 from robot_runner.analysis import analyse, load_results
 from robot_runner.analysis.report.writing import ReportFormat, write_report
@@ -119,7 +120,7 @@ def test_columns_of_qualities_are_no_measures(tmp_path: Path) -> None:
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("kind", ["html", "md", "json"])
+@pytest.mark.parametrize("kind", soak_but({"md", "json"}, ["html", "md", "json"]))
 def test_the_report_says_what_is_doubtful_and_what_stands(tmp_path: Path, kind: str) -> None:
     made = results(tmp_path, FAR, {"r_1": HOT, "r_8": HOT})
     written = write_report(made, ReportFormat(kind), figures=())

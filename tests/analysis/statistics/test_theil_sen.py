@@ -47,12 +47,12 @@ def test_places_of_which_two_are_hardly_apart_are_no_obstacle():
 
 
 @pytest.mark.long
-def test_of_fifty_thousand_values_it_does_not_go_through_a_billion_pairs():
-    values, places = values_of("drifting", 50_000), np.arange(1.0, 50_001.0)
+def test_of_twenty_thousand_values_it_does_not_go_through_two_hundred_million_pairs():
+    values, places = values_of("drifting", 20_000), np.arange(1.0, 20_001.0)
     tracemalloc.start()
     found = theil_sen(places, values, 0.95)
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
-    assert peak < 60e6
+    assert peak < 24e6
     assert found.low < 0.002 < found.high
     assert found.slope == pytest.approx(0.002, abs=1e-5)

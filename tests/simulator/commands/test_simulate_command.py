@@ -7,6 +7,7 @@ import subprocess
 import sys
 
 import pytest
+from tests.long_cases import soak_but
 from tests.ros.dds_domain import LOOPBACK, claim_domain
 from tests.ros.ros1_master import needs_ros1
 
@@ -15,7 +16,9 @@ from robot_runner.cli.main import main
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM], ids=lambda number: number.name)
+@pytest.mark.parametrize(
+    "number", soak_but([signal.SIGINT], [signal.SIGINT, signal.SIGTERM]), ids=lambda number: number.name
+)
 def test_over_dds_it_is_ready_and_ends_cleanly(number, monkeypatch):
     monkeypatch.setenv("CYCLONEDDS_URI", LOOPBACK)
     words = ["simulate", "turtlebot3", "--link", f"dds:domain={claim_domain()}", "--namespace", "/alice"]
