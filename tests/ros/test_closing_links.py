@@ -69,7 +69,7 @@ def test_whatever_fails_at_one_topic_every_other_robot_is_stopped(link, transpor
 
 def test_where_nobody_is_known_to_have_commanded_zero_is_published_and_not_awaited(link, transport, monkeypatch):
     told = []
-    monkeypatch.setattr(commanded_topics, "_listeners", [lambda topic, _: told.append(topic)])
+    monkeypatch.setattr(commanded_topics, "_listeners", [lambda each: told.append(each.topic)])
     link.advertise("/alice/cmd_vel", TWIST, is_commanded=False)
     link.advertise("/bob/cmd_vel", TWIST, is_commanded=False)
     link.publish("/bob/cmd_vel", TWIST, {"linear": {"x": 0.2}})

@@ -1,13 +1,15 @@
 from __future__ import annotations
 
+import os
 from typing import TYPE_CHECKING
 
 import pytest
 
 from robot_runner.cli.commands import continue_
 from robot_runner.core.execution import experiment_status
-from robot_runner.core.execution.experiment_status import ExperimentStatus
-from robot_runner.core.storage.lock import Holder
+from robot_runner.core.execution.experiment_status import ExperimentStatus, read_status
+from robot_runner.core.storage.journal import Journal
+from robot_runner.core.storage.lock import ExperimentLock, Holder
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -56,3 +58,22 @@ def test_an_experiment_that_does_not_hear_is_said_not_to_and_hears_nothing_later
     assert answer.code == 2
     assert "the experiment has not taken the request within 0 s; it was taken back" in answer.err
     assert not (folder / ".control").exists()
+
+
+def test_what_an_execution_that_was_killed_had_asked_is_not_answered_while_the_next_one_is_starting(
+    robot_runner: Callable, folder: Path
+) -> None:
+    """It was said that the experiment goes on, which then asked again."""
+    asked = {"next_run": "r_2", "step": "swap", "questions": []}
+    with Journal(folder / "journal.jsonl") as journal:
+        journal.append("experiment_started", pid=os.getpid() + 1)
+        journal.append("waiting", **asked)
+    with ExperimentLock(folder / ".lock"):
+        answer = robot_runner("continue", "config.py")
+        assert answer.code == 2
+        assert "the experiment does not wait" in answer.err
+        assert not read_status(folder).is_waiting_for_user
+        with Journal(folder / "journal.jsonl") as journal:
+            journal.append("experiment_started", pid=os.getpid())
+            journal.append("waiting", **asked)
+        assert read_status(folder).waiting_for is not None

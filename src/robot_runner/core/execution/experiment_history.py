@@ -85,6 +85,8 @@ class ExperimentHistory:
         self._in_flight: dict[str, InFlight] = {}
         self._set_aside: list[Finding] = []
         self._steps = StepHistory()
+        #: The process of the last session; None where its record is of an older version, or there is none.
+        self.pid: int | None = None
         self.started_at: str | None = None
         self.finished_at: str | None = None
         self.combinations: dict[str, Mapping[str, Any]] = {}
@@ -210,6 +212,7 @@ class ExperimentHistory:
         return bad
 
     def _take_experiment_started(self, record: Mapping[str, Any]) -> None:
+        self.pid = record.get("pid")
         self.started_at = record["at"]
         self.finished_at = None
         self._planned = int(record.get("runs", 0))

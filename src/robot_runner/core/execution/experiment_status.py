@@ -140,6 +140,8 @@ def status_of(files: ExperimentFolder, history: ExperimentHistory) -> Experiment
     statuses, out = history.statuses, history.excluded
     counting = {run: status for run, status in statuses.items() if run not in out}
     holder = holder_of(files.lock)
+    # Of one that has only just taken the lock, the journal still tells what was going on when the one before it died.
+    goes_on = holder is not None and (not holder.pid or history.pid in {None, holder.pid})
     repeated = rule_in_words(*rules_of_mapping(manifest.get("repeat_until")))
     decides = str((manifest.get("design", {}).get("facts") or {}).get("decides", ""))
     follows = "" if history.is_decided else repeated or decides
@@ -151,14 +153,14 @@ def status_of(files: ExperimentFolder, history: ExperimentHistory) -> Experiment
         experiment_name=manifest.get("experiment_name", files.root.name),
         folder=files.root,
         holder=holder,
-        is_waiting_for_user=holder is not None and history.waiting_for is not None,
+        is_waiting_for_user=goes_on and history.waiting_for is not None,
         run_count=len(statuses) + history.unlisted,
         done=_count(statuses, RunStatus.DONE),
         failed=_count(counting, RunStatus.FAILED),
         todo=_count(counting, RunStatus.TODO, RunStatus.RUNNING) + history.unlisted,
-        current_run=history.in_flight[-1].run if holder and history.in_flight else None,
-        current_event=history.in_flight[-1].event if holder and history.in_flight else None,
-        in_flight=history.in_flight if holder else (),
+        current_run=history.in_flight[-1].run if goes_on and history.in_flight else None,
+        current_event=history.in_flight[-1].event if goes_on and history.in_flight else None,
+        in_flight=history.in_flight if goes_on else (),
         failures=tuple(
             f"{run}: {reason}" for run, reason in history.failures.items() if counting.get(run) is RunStatus.FAILED
         ),
@@ -168,20 +170,20 @@ def status_of(files: ExperimentFolder, history: ExperimentHistory) -> Experiment
         seconds_left=left.after(history.since_left if holder else 0.0) if left is not None else None,
         left_is_least=left is not None and left.is_least,
         bad_values=history.bad_values,
-        waiting_for=history.waiting_for if holder else None,
+        waiting_for=history.waiting_for if goes_on else None,
         warm_ups=len(history.warm_ups),
         warm_ups_done=sum(statuses.get(run) is RunStatus.DONE for run in history.warm_ups),
         batches=tuple(each.get("runs", 0) for each in manifest.get("design", {}).get("batches", ())),
         sessions=tuple(history.sessions),
         excluded=out,
-        is_paused=holder is not None and history.is_paused,
+        is_paused=goes_on and history.is_paused,
         pause_is_requested=holder is not None and is_requested(files.pause),
         lacks_plan=history.lacks_plan,
         order=moved_in_words(moved_runs(list(statuses), history.executed), history.executed),
         repeated=repeated,
         precision=history.precision,
         decided=history.decided or decides,
-        gates=tuple(history.gates.values()) if holder else (),
+        gates=tuple(history.gates.values()) if goes_on else (),
         gate_seconds=history.gate_seconds,
     )
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -120,19 +121,19 @@ class ProgressManager:
                 recovered.write_schema(self._folder.schema)
                 self._file.write()
             self._resources = opened.pop_all()
-        manifest = self._manifest
         self.note(
             "experiment_started",
             flush=True,
-            name=manifest["experiment_name"],
+            pid=os.getpid(),
+            name=self._manifest["experiment_name"],
             seed=self.seed,
             runs=self.run_count,
-            design=manifest["design"]["source"],
-            factors=manifest["design"]["factors"],
-            repetitions=manifest["design"]["repetitions"],
+            design=self._manifest["design"]["source"],
+            factors=self._manifest["design"]["factors"],
+            repetitions=self._manifest["design"]["repetitions"],
             steps_after=[each.name for each in self._experiment.parameters.operator_steps if each.is_after],
             **({"selection": chosen} if (chosen := self._resumption.selection) else {}),
-            repository=manifest["executions"][-1].get("repository"),
+            repository=self._manifest["executions"][-1].get("repository"),
         )
         if probed is not None and probed.profilers:
             self.note("probe", **probed.fields())
@@ -169,8 +170,7 @@ class ProgressManager:
     @property
     def todo_count(self) -> int:
         """How many runs are left to be executed: neither done nor failed, nor excluded."""
-        left = self.run_count - self.done_count - len(self._failed)
-        rows = self._rows
+        rows, left = self._rows, self.run_count - self.done_count - len(self._failed)
         return left - sum(rows.status(rows.index_of(run)) is not RunStatus.DONE for run in self.excluded)
 
     @property

@@ -145,6 +145,7 @@ class _TableWritten(Record):
 
 
 class _ExperimentStarted(_Dated):
+    pid: NotRequired[int]
     seed: NotRequired[Seed | None]
     runs: NotRequired[int]
     design: NotRequired[str]
