@@ -13,8 +13,9 @@ nothing else. Three pipes connect the processes:
 Asked to stop, the keeper sends SIGTERM to the run, twice (`ASK_AGAIN`), and kills it when it has not ended after the
 grace. Once the run has ended in whatever way, the keeper kills the rest of its process group and its orphans. Where the
 run had no time to make its systems safe, another process that the keeper forks, the *standby*, does it (`standby.py`).
-The run begins only once that one is there. If the keeper itself dies, the system sends SIGTERM to the run (Linux), and
-the orchestrator, if there is one, does the keeper's work.
+The run begins only once that one is there; where no robot is known to be commanded, it is forked only after a run that
+has commanded one has died. If the keeper itself dies, the system sends SIGTERM to the run (Linux), and the
+orchestrator, if there is one, does the keeper's work.
 """
 
 from __future__ import annotations
