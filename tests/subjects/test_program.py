@@ -257,6 +257,24 @@ def test_a_subject_whose_run_is_interrupted_before_it_is_watched_is_stopped_with
     assert not alive(token)
 
 
+def test_a_program_that_has_ended_by_the_time_that_it_is_looked_for_was_started(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """On a busy machine, a build that takes milliseconds was refused: `'/bin/sh' was not started: exit code 0`."""
+    pid, looked = SupervisedProgram.pid.fget, []
+
+    def late(program: SupervisedProgram) -> int | None:
+        if not looked:
+            looked.append(program._supervisor.wait(60))
+            return None
+        return pid(program)
+
+    monkeypatch.setattr(SupervisedProgram, "pid", property(late))
+    program = SupervisedProgram(tmp_path, Task(command=("true",), environment={}), name="Planner")
+    assert looked == [0]
+    assert program.stop().code == 0
+
+
 def test_what_kills_all_of_a_runs_session_leaves_the_supervisor_that_ends_its_program(tmp_path: Path) -> None:
     program = SupervisedProgram(tmp_path, Task(command=("sleep", "1000"), environment={}), name="Planner")
     supervisor = program._supervisor.pid

@@ -305,7 +305,8 @@ class SupervisedProgram(Start):
         deadline = time.monotonic() + (_PATIENCE if self._task.host is None else _FAR_PATIENCE)
         while self.pid is None:
             ended = self.ended() if self._supervisor.poll() is not None or self.refusal else None
-            if ended is not None or time.monotonic() > deadline:
+            is_late = ended is not None or time.monotonic() > deadline
+            if is_late and self.pid is None:  # else it has begun, and perhaps ended, since it was looked for
                 raise self._refused(ended)
             time.sleep(_LOOK)
         # The time for the supervisor, and a connection, does not count as the program's.
