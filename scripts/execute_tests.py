@@ -133,11 +133,8 @@ def ros2_batches_of(folder: Path) -> list[Batch]:
 
 
 def _processes() -> int:
-    """Return how many processes fit: tests wait most of their time for processes, robots and clocks.
-
-    With three for each processor, 82 % of what there is was used, with four 88 % (2026-11-30, two processors).
-    """
-    return min(8, 4 * (os.cpu_count() or 1))
+    """Return how many processes fit: tests wait two thirds of their time for processes, robots and clocks."""
+    return min(8, 3 * (os.cpu_count() or 1))
 
 
 def _executed(batch: Batch, marks: str, words: list[str], shared: str, start: float) -> Answer:

@@ -150,6 +150,14 @@ def test_a_connection_that_rospy_has_nothing_to_send_on_is_idle():
     assert ros1_publisher._is_idle(connection) is False
 
 
+def test_a_connection_that_was_closed_meanwhile_leaves_nothing_to_wait_for():
+    """Where a subscriber had ended in that moment, the robot was said not to be told to stand still."""
+    closed = socket.socket()
+    closed.close()
+    for each in (closed, None):
+        assert ros1_publisher._is_unacknowledged(SimpleNamespace(socket=each)) is False
+
+
 @pytest.mark.parametrize(
     "connection",
     [

@@ -228,6 +228,6 @@ def _is_unacknowledged(connection: Any) -> bool:
     if sys.platform != "linux":
         return False
     count = array("i", [0])
-    with suppress(AttributeError, OSError):  # it was closed meanwhile
+    with suppress(AttributeError, OSError, ValueError):  # it was closed meanwhile: its descriptor is -1 then
         ioctl(connection.socket.fileno(), termios.TIOCOUTQ, count)
     return count[0] > 0
