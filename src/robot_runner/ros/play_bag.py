@@ -199,10 +199,10 @@ class PlayBag(RobotSystem):
             if bag is not None:
                 closing.callback(bag.close)
                 closing.callback(self._write, context, bag)
+            self.make_safe(context)
             if self._is_played:
                 topics = [(each.name, each.message_type, each.qos) for each in self._chosen]
-                closing.callback(self.doubt_unreached, context, connect_robot(context), topics)
-            self.make_safe(context)
+                self.doubt_unreached(context, connect_robot(context), topics)
 
     def stand_by(self, context: RobotRunnerContext) -> None:
         """Join the graph, so that `make_safe` is heard at once."""

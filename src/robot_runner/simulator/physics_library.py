@@ -1,4 +1,4 @@
-"""MuJoCo, imported without what draws into windows where there is no screen.
+"""MuJoCo, imported without what draws into windows where there is no screen (Linux).
 
 That is GLFW, which starts an interpreter of its own to look for its library: two fifths of the processor time of the
 import. A camera loads what it renders with when it is opened (`camera.py`).
@@ -7,12 +7,13 @@ import. A camera loads what it renders with when it is opened (`camera.py`).
 from __future__ import annotations
 
 import os
+import sys
 
 __all__ = ["mujoco"]
 
 _VARIABLE = "MUJOCO_GL"
 
-if {_VARIABLE, "DISPLAY", "WAYLAND_DISPLAY"} & os.environ.keys():
+if sys.platform != "linux" or {_VARIABLE, "DISPLAY", "WAYLAND_DISPLAY"} & os.environ.keys():
     import mujoco
 else:
     os.environ[_VARIABLE] = "disabled"

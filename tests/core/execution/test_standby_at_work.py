@@ -20,7 +20,7 @@ import robot_runner.core.execution.standby as standby_module
 from robot_runner.core.config.preparation import prepare_or_refuse
 from robot_runner.core.errors import LinkError
 from robot_runner.core.events.resources import Resources
-from robot_runner.core.execution import run_events, standby_lock
+from robot_runner.core.execution import run_events, standby_lock, systems_state
 from robot_runner.core.execution.interruption import InterruptGate
 from robot_runner.core.execution.progress_manager import ProgressManager
 from robot_runner.core.execution.recovery import Resumption
@@ -273,6 +273,16 @@ def test_a_failed_run_without_systems_leaves_a_safe_robot_only_where_its_links_c
         task = replace(progress.task_of(next(iter(progress.pending()))), attempt=1)
         execute_run(experiment, task, lambda _kind, _fields: None, InterruptGate(), state)
         assert state.care is care
+
+
+def test_a_list_of_topics_that_was_cut_tells_of_those_that_are_whole(monkeypatch: pytest.MonkeyPatch) -> None:
+    with closing(SystemsState()) as state:
+        told = [Commanded(f"/{name}/cmd_vel", "geometry_msgs/Twist", "dds:types=my types") for name in ("alice", "bob")]
+        for each in told:
+            state.add_commanded(each)
+        assert state.commanded == told
+        monkeypatch.setattr(systems_state, "_LONGEST_LIST", len(" ".join(told[0])) + 6)
+        assert state.commanded == told[:1]
 
 
 @pytest.mark.parametrize("own", ["simulated", None])

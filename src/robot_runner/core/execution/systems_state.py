@@ -78,7 +78,8 @@ class SystemsState:
     def commanded(self) -> list[Commanded]:
         """The topics on which the run commands a velocity."""
         lines = os.pread(self.descriptor, _LONGEST_LIST, _TOPICS).decode().splitlines()
-        return [Commanded(*line.split(" ", len(Commanded._fields) - 1)) for line in lines]
+        fields = (line.split(" ", len(Commanded._fields) - 1) for line in lines)
+        return [Commanded(*each) for each in fields if len(each) == len(Commanded._fields)]  # the last may be cut
 
     def add_commanded(self, commanded: Commanded) -> None:
         """Add a topic on which the run is about to command velocities; from then on, it has systems to care for."""

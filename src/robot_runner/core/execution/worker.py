@@ -11,6 +11,7 @@ import os
 import signal
 import sys
 import tempfile
+import threading
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
 from dataclasses import fields, replace
@@ -109,6 +110,7 @@ def _kept(systems: SystemsState, experiment: Experiment, task: RunTask) -> Itera
     """Keep a `SystemsFile` until the systems are safe: keeper, standby and orchestrator may be killed, too."""
     file = SystemsFile(experiment.folder)
     names, begun = [each.name for each in systems_of_standby(experiment)], False
+    adding = threading.Lock()  # several threads may command the first robots
 
     def begin(robot: str | None) -> None:
         nonlocal begun
@@ -116,9 +118,10 @@ def _kept(systems: SystemsState, experiment: Experiment, task: RunTask) -> Itera
         file.begin(robot, described_task(experiment, task), names)
 
     def add(commanded: Commanded) -> None:
-        if not begun:  # a callback has reached a robot that the config does not name
-            begin(commanded.graph or None)
-        file.add_commanded(commanded)
+        with adding:
+            if not begun:  # a callback has reached a robot that the config does not name
+                begin(commanded.graph or None)
+            file.add_commanded(commanded)
 
     if has_standby(experiment):
         begin(experiment.parameters.robot)
