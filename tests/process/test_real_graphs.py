@@ -73,6 +73,8 @@ class RobotRunnerConfig:
 """
 
 
+LAUNCHED = '        (Path(__file__).parent / "launched").touch()\n'
+
 PROFILERS = """[
     Ina219(port={port!r}), PsUtil(host="localhost"), RosTopics(["odom"], namespace="/alice"),
     RosBag(["odom", "cmd_vel"], namespace="/alice"), RosGraph()]"""
