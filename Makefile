@@ -16,7 +16,7 @@ BIN := .venv/bin
 CODE := src tests benchmarks scripts examples robot
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test check bench soak docs cli-page format picture gallery lock lower-bounds dist system-packages clean
+.PHONY: help demo test check bench soak docs cli-page format picture gallery lock lower-bounds dist system-packages clean ready environment
 
 help: ## Show this list.
 	@echo "Robot Runner. Python 3.11 or newer and make are enough; every target does its own set-up."
@@ -31,23 +31,17 @@ demo: ## Execute the paper's experiment on the embedded robot: 15 runs, in under
 	@sh scripts/set_up.sh demo
 	@$(BIN)/robot-runner demo
 
-test: ## Make every check and execute the tests, but for the long ones (minutes).
-	@sh scripts/set_up.sh test
-	@sh scripts/system_packages.sh
+test: ready ## Make every check and execute the tests, but for the long ones (minutes).
 	@sh scripts/checks.sh all
 
 check: ## Make the quick checks only: format, lint, types, import contracts.
 	@sh scripts/set_up.sh test
 	@sh scripts/checks.sh quick
 
-bench: ## Measure the promised figures, each beside its floor (minutes; a quiet machine is best).
-	@sh scripts/set_up.sh test
-	@sh scripts/system_packages.sh
+bench: ready ## Measure the promised figures, each beside its floor (minutes; a quiet machine is best).
 	@$(BIN)/python -m benchmarks
 
-soak: ## Execute the long-running tests, and search all properties at random (hours).
-	@sh scripts/set_up.sh test
-	@sh scripts/system_packages.sh
+soak: ready ## Execute the long-running tests, and search all properties at random (hours).
 	@$(BIN)/python scripts/execute_tests.py -m "soak or hypothesis" --hypothesis-profile soak --timeout 3600
 
 docs: ## Build the documentation into site/.
@@ -87,6 +81,15 @@ dist: ## Build what is published into dist/; refuses a tag that is not the versi
 
 system-packages: ## Install the Debian packages that the tests need (as root).
 	@sh scripts/system_packages.sh
+
+# Debian's packages are unpacked while pip is busy; Debian's ROS 1 joins an environment that is there. Only the first of
+# two jobs may be asked by the terminal.
+ready:
+	@$(MAKE) --no-print-directory --jobs=2 system-packages environment
+	@sh scripts/debian_ros.sh
+
+environment:
+	@sh scripts/set_up.sh test
 
 clean: ## Remove .venv and everything else that was generated.
 	@rm -rf .venv .make build dist site .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache .coverage

@@ -39,7 +39,7 @@ provide_venv() {
     package=python$("$1" -c 'import sys; print("%d.%d" % sys.version_info[:2])')-venv
     if [ "${ROBOT_RUNNER_SYSTEM_PACKAGES:-yes}" != no ] && [ "$(id -u)" -eq 0 ] && command -v apt-get >/dev/null 2>&1; then
         say "installing the Debian package $package, which $1 needs to make a virtual environment"
-        run_quietly sh -c "apt-get update; DEBIAN_FRONTEND=noninteractive apt-get install -y --no-install-recommends $package"
+        run_quietly flock .make/apt sh -c "apt-get update; DEBIAN_FRONTEND=noninteractive apt-get install -y --no-install-recommends $package"
     else
         die "$1 cannot make a virtual environment: its venv module is not complete." "Install it (Debian, Ubuntu: sudo apt install $package), then repeat the command."
     fi

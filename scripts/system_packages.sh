@@ -44,6 +44,12 @@ if [ -t 0 ] && [ -t 1 ]; then
     sleep 10
 fi
 export DEBIAN_FRONTEND=noninteractive
+# Meanwhile set_up.sh may install what Python lacks for a virtual environment.
+if command -v flock >/dev/null 2>&1; then
+    mkdir -p .make
+    exec 8>.make/apt
+    flock 8
+fi
 log=$(mktemp)
 # One that cannot be had does not keep the others out.
 # shellcheck disable=SC2086  # several words on purpose
