@@ -147,7 +147,8 @@ class FastNode:
         return self.types.deserialise(kind, data, Encoding.CDR)
 
     def close(self) -> None:
-        self.process.stdin.close()
+        with self._writing:
+            self.process.stdin.close()
         try:
             self.process.wait(PATIENCE)
         finally:
@@ -170,6 +171,8 @@ class FastNode:
 
     def _send(self, line: str) -> None:
         with self._writing:
+            if self.process.stdin.closed:
+                return  # a request came while the node was ending
             self.process.stdin.write(line + "\n")
             self.process.stdin.flush()
 
