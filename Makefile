@@ -16,7 +16,7 @@ BIN := .venv/bin
 CODE := src tests benchmarks scripts examples robot
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test check bench soak docs cli-page format picture gallery lock lower-bounds dist system-packages clean ready environment
+.PHONY: help demo test check bench soak docs cli-page format picture gallery lock lower-bounds dist system-packages clean
 
 help: ## Show this list.
 	@echo "Robot Runner. Python 3.11 or newer and make are enough; every target does its own set-up."
@@ -84,6 +84,7 @@ system-packages: ## Install the Debian packages that the tests need (as root).
 
 # Debian's packages are unpacked while pip is busy; Debian's ROS 1 joins an environment that is there. Only the first of
 # two jobs may be asked by the terminal.
+.PHONY: ready environment
 ready:
 	@$(MAKE) --no-print-directory --jobs=2 system-packages environment
 	@sh scripts/debian_ros.sh
