@@ -16,7 +16,7 @@ BIN := .venv/bin
 CODE := src tests benchmarks scripts examples robot
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test check bench soak docs cli-page format picture gallery lock lower-bounds dist system-packages clean
+.PHONY: help demo test check bench soak docs cli-page format picture gallery lock lower-bounds dist system-packages environment ready clean
 
 help: ## Show this list.
 	@echo "Robot Runner. Python 3.11 or newer and make are enough; every target does its own set-up."
@@ -82,15 +82,14 @@ dist: ## Build what is published into dist/; refuses a tag that is not the versi
 system-packages: ## Install the Debian packages that the tests need (as root).
 	@sh scripts/system_packages.sh
 
+environment: ## Make .venv with what the tests need.
+	@sh scripts/set_up.sh test
+
 # Debian's packages are unpacked while pip is busy; Debian's ROS 1 joins an environment that is there. Only the first of
 # two jobs may be asked by the terminal.
-.PHONY: ready environment
-ready:
+ready: ## Install all that the tests need: both of these, at once.
 	@$(MAKE) --no-print-directory --jobs=2 system-packages environment
 	@sh scripts/debian_ros.sh
-
-environment:
-	@sh scripts/set_up.sh test
 
 clean: ## Remove .venv and everything else that was generated.
 	@rm -rf .venv .make build dist site .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache .coverage
