@@ -43,6 +43,7 @@ class Instructions:
     def _enter(self, frame: FrameType, _event: str, _argument: object) -> Any:
         if not frame.f_code.co_filename.startswith(self._paths) or os.getpid() != self._process:
             return None
+        frame.f_trace = self._trace  # CPython 3.13 traces opcodes only of a frame that has one by then
         frame.f_trace_opcodes = True
         return self._trace
 
