@@ -35,7 +35,7 @@ class Thermometer(rr.Profiler):
         columns = [rr.Column("time_s", samples.times), rr.Column("temperature_C", samples.readings, "%.2f")]
         rr.write_samples(context.raw_data_folder / "samples.csv", columns)
         rr.report_quality(context, samples.over(context.window).quality(), context.window, sampled=samples.window)
-        rr.publish_measures(context, self.measures, self.evaluate)
+        rr.publish_measures(context, self.measures, self.evaluate, times=samples.times)
 
     def evaluate(self, window: rr.Window) -> dict[str, float | None]:
         samples = self.sampler.stop().over(window)

@@ -10,9 +10,15 @@ import pytest
 from tests.core.execution.conftest import execute_in
 from tests.long_cases import soak_but
 
+from robot_runner import Condition, Guard, GuardAction, Look
+from robot_runner.conditions.guard_watch import GuardWatch
+from robot_runner.core.events.context import SystemClock
+from robot_runner.measuring import periodic
 from robot_runner.replication.explanation import explain_run
+from robot_runner.testing import FakeClock, make_context
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
     from pathlib import Path
 
 #: Comes true when a file is written: in the middle of the mission of the first attempt of the first run only.
@@ -177,3 +183,62 @@ def test_a_guard_that_never_knew_what_it_watched_makes_the_run_doubtful(tmp_path
     (doubt,) = first["measures"]["Energy"]["doubts"]
     assert doubt.startswith("the guard 'the measure Power is below 5' watched nothing: ")
     assert "was not published yet" in doubt
+
+
+class Blind(Condition):
+    """What can be looked at at first, and then no more."""
+
+    every_s = 0.05
+
+    def __init__(self, look: Callable[[], Look]) -> None:
+        self.last = look
+        self.has_looked = False
+
+    def __str__(self) -> str:
+        return "the lab is on fire"
+
+    def watch(self, context: object, opened: object) -> Callable[[], Look]:
+        return self.look
+
+    def look(self) -> Look:
+        has_looked, self.has_looked = self.has_looked, True
+        return self.last() if has_looked else Look(holds=False, seen="all is well")
+
+
+def test_a_guard_whose_last_look_raised_makes_the_run_doubtful(tmp_path: Path) -> None:
+    def fails() -> Look:
+        raise ValueError("no such sensor")
+
+    clock = FakeClock()
+    context = make_context(tmp_path, robot=None, clock=clock)
+    watch = GuardWatch([Guard(Blind(fails), GuardAction.STOP)])
+    watch.start_measurement(context)
+    clock.sleep(1.0)
+    watch.stop_measurement(context)
+    problems = [finding.problem for finding in context.broker.findings]
+    assert "the guard 'the lab is on fire' knew nothing any more in the end: ValueError: no such sensor" in problems
+
+
+def test_a_guard_whose_last_look_hangs_makes_the_run_doubtful_and_comes_true_no_more(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    hangs, released = threading.Event(), threading.Event()
+
+    def hang() -> Look:
+        hangs.set()
+        released.wait(60)
+        return Look(holds=True)
+
+    monkeypatch.setattr(periodic, "_PATIENCE", 0.01)
+    context = make_context(tmp_path, robot=None, clock=SystemClock())
+    before = set(threading.enumerate())
+    watch = GuardWatch([Guard(Blind(hang), GuardAction.STOP)])
+    watch.start_measurement(context)
+    assert hangs.wait(60)
+    watch.stop_measurement(context)
+    released.set()
+    for thread in set(threading.enumerate()) - before:
+        thread.join(60)
+    assert not [kind for kind, _ in context.broker.records if kind == "guard"], "the measurement was over by then"
+    (told,) = [each.problem for each in context.broker.findings if "knew nothing any more in the end" in each.problem]
+    assert told.endswith(": a look at it has not come back")

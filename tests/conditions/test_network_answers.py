@@ -103,6 +103,12 @@ def test_another_status_may_be_what_is_awaited(server: str, context: RobotRunner
     assert http_answers(f"{server}/down", status=503, text="starting").wait(context, timeout_s=20.0).value == 503
 
 
+def test_a_redirection_may_be_what_is_awaited_and_is_not_followed_then(
+    server: str, context: RobotRunnerContext
+) -> None:
+    assert http_answers(f"{server}/elsewhere", status=302).wait(context, timeout_s=20.0).value == 302
+
+
 def test_a_server_that_is_silent_or_not_there_does_not_answer(server: str, context: RobotRunnerContext) -> None:
     look = http_answers(f"{server}/slow").watch(context, ExitStack())()
     assert not look.holds

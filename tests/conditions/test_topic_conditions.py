@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from contextlib import ExitStack
 from typing import TYPE_CHECKING, NoReturn
@@ -18,6 +19,7 @@ from robot_runner import (
     not_,
     service_present,
     topic_above,
+    topic_below,
     topic_present,
 )
 from robot_runner.core.errors import LinkError
@@ -153,6 +155,21 @@ def test_the_newest_message_counts_and_an_old_one_does_not(robot: Robot) -> None
         assert "the newest message on /battery_state is 1" in look().seen
 
 
+@pytest.mark.parametrize(("period", "count", "is_known"), [(0.1, 30, False), (4.0, 30, True), (0.1, 5, True)])
+def test_of_a_topic_that_has_fallen_silent_nothing_is_known_unless_that_is_its_way(
+    robot: Robot, period: float, count: int, is_known: bool
+) -> None:
+    with ExitStack() as opened:
+        look = topic_below("volts", "std_msgs/Float32", "data", 11).watch(robot.context, opened)
+        for number in range(count):
+            robot.sends("volts", {"data": 10.0}, at=(number + 1) * period)
+        robot.clock.sleep(count * period + 9.0)
+        assert look().holds
+        robot.clock.sleep(6.0)
+        assert (look().is_known, look().holds) == (is_known, is_known)
+        assert ("is 15.0 s old" in look().seen) is not is_known
+
+
 @pytest.mark.parametrize("condition", [battery_above(10), battery_below(10)], ids=str)
 @pytest.mark.parametrize("unknown", [float("nan"), -0.01])  # as some pass on the -1 % of an autopilot
 def test_a_robot_that_does_not_tell_its_charge_is_neither_charged_nor_flat(
@@ -161,6 +178,22 @@ def test_a_robot_that_does_not_tell_its_charge_is_neither_charged_nor_flat(
     robot.sends("battery_state", {"percentage": unknown, "voltage": 12.1}, at=0.1)
     with pytest.raises(ConditionError, match="the robot does not tell its charge"):
         robot.waits(condition, timeout_s=1.0)
+
+
+@pytest.mark.parametrize(("seen", "is_near", "is_far"), [(math.inf, False, True), (-math.inf, True, False)])
+def test_nothing_within_reach_is_far_and_something_too_near_to_measure_is_near(
+    robot: Robot, seen: float, is_near: bool, is_far: bool
+) -> None:
+    near = topic_below("scan", "sensor_msgs/LaserScan", "ranges.0", 0.2)
+    far = topic_above("scan", "sensor_msgs/LaserScan", "ranges.0", 0.2)
+    with ExitStack() as opened:
+        looks = [each.watch(robot.context, opened) for each in (near, far)]
+        robot.link.deliver("scan", {"ranges": [seen]})
+        found = [look() for look in looks]
+        assert [each.holds for each in found] == [is_near, is_far]
+        assert all(each.is_known for each in found)
+        robot.link.deliver("scan", {"ranges": [math.nan]})
+        assert [(each.holds, each.is_known) for each in (look() for look in looks)] == [(False, False)] * 2
 
 
 def test_a_charge_in_percent_is_not_taken_for_a_share(robot: Robot) -> None:

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import math
 import threading
 import time
 from itertools import count, pairwise
@@ -192,3 +193,14 @@ def test_only_failures_of_the_window_count():
     assert sampling.failures == 2
     assert sampling.over(Window(5.0, 10.0)).failures == 1
     assert sampling.over(Window(3.0, 6.0)).failures == 0
+
+
+@pytest.mark.parametrize("odd", [math.nan, math.inf, -math.inf])
+def test_a_reading_that_is_no_finite_number_costs_a_sample_as_one_that_fails(odd):
+    clock, readings = FakeClock(), iter([7.5, 7.5, odd, *[7.5] * 20])
+    sampler = PeriodicSampler(lambda: next(readings), rate=10.0, clock=clock)
+    sampler.start()
+    clock.sleep(1.0)
+    sampling = sampler.stop()
+    assert set(sampling.readings) == {7.5}
+    assert (sampling.failures, sampling.first_failure) == (1, f"ValueError: the meter said {odd}")

@@ -57,6 +57,18 @@ def test_a_sample_that_is_missing_from_a_short_window_or_beside_its_edge_is_told
     assert quality.is_sufficient
 
 
+@pytest.mark.parametrize(
+    ("window", "unreached"),
+    [(Window(0.5, 34.5), 4.5), (Window(-1.0, 30.0), 1.0), (Window(-1.0, 34.5), 5.5), (Window(1.0, 29.0), 0.0)],
+)
+def test_the_time_that_no_sample_reaches_is_told_from_a_twentieth_of_the_window_on(window, unreached):
+    quality = quality_of([5.0 * number for number in range(7)], window, 0.2)
+    assert quality.unreached == pytest.approx(unreached)
+    told = f"samples leave out {unreached:.3f} s at the ends of the measured window of {window.duration:.3f} s"
+    assert quality.warnings() == ((told,) if unreached > 4.0 else ())
+    assert quality.is_sufficient
+
+
 def test_a_sample_that_is_missing_from_a_long_window_is_not_told():
     times = [number - 0.4 for number in range(-1, 43) if number != 1]
     assert quality_of(times, Window(0.0, 40.0), 1.0).warnings() == ()

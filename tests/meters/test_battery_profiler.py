@@ -79,6 +79,35 @@ def test_what_an_autopilot_does_not_measure_is_missing_in_the_messages_of_mavros
     assert context.measures["Energy"] is None
 
 
+def test_steps_that_are_fine_for_the_mission_may_be_coarse_for_a_phase(tmp_path):
+    clock = FakeClock(50.0)
+    robot = FakeRobotLink(clock)
+
+    def deliver():  # in steps of 1 %, of which the mission takes 15
+        charge = math.floor(90.0 - 0.5 * (clock.now() - 50.0)) / 100
+        robot.deliver("battery_state", {"voltage": 12.0, "percentage": charge})
+
+    clock.every(0.1, deliver)
+    plugin = Battery(rate_hz=10.0)
+    phases = ["climb", "rest", "dock"]
+    context = make_context(tmp_path, plugin, links=FakeLinks(robot=robot), clock=clock, phases=phases)
+
+    def mission():
+        for phase, seconds in (("climb", 25.0), ("rest", 3.3), ("dock", 0.5), ("rest", 1.0)):
+            with context.phase(phase):
+                clock.sleep(seconds)
+
+    rehearse(context, plugin, mission=mission)
+    told = [(each["problem"], each["measures"]) for kind, each in context.broker.records if kind == "finding"]
+    assert told == [
+        ("phase 'rest': the charge is reported in steps of 1 %: ChargeUsed may be off by 50 %", ["ChargeUsed.rest"]),
+        (
+            "phase 'dock': the charge stayed as it was: ChargeUsed lacks what is less than a step of it",
+            ["ChargeUsed.dock"],
+        ),
+    ]
+
+
 def _problems(context):
     return [finding.problem for finding in context.broker.findings]
 

@@ -118,6 +118,28 @@ def test_utc_stamps_are_brought_to_the_runs_clock():
     assert row_times(rows, [0.0] * 3, column, utc_offset=-1000.0) == pytest.approx([0.5, 1.0, 1.0])
 
 
+def test_stamps_in_whole_seconds_are_refined_by_the_arrivals_of_their_rows():
+    rows = [{"t": "1000"}, {"t": "1000"}, {"t": "1001"}, {"t": "1002"}, {"t": "1004"}]
+    received = [0.3, 0.8, 1.8, 9.0, 3.9]  # the fourth was held up, and the last stamp was rounded up
+    times = row_times(rows, received, TimeColumn("t"), utc_offset=-1000.0)
+    assert times == pytest.approx([0.3, 0.8, 1.8, 2.5, 3.9])
+
+
+def test_stamps_with_a_fraction_and_of_another_clock_are_not_refined():
+    received = [0.9, 1.9]
+    assert row_times([{"t": "1000"}, {"t": "1000.5"}], received, TimeColumn("t"), utc_offset=-1000.0) == [0.0, 0.5]
+    assert row_times([{"t": "4600"}, {"t": "4601"}], received, TimeColumn("t"), utc_offset=-1000.0) == [3600.5, 3601.5]
+
+
+def test_power_by_whole_seconds_is_that_of_the_mission_and_not_of_the_second_before():
+    taken = [98.7 + number for number in range(15)]
+    rows = [{"t": str(int(time)), "watts": "25" if 100.0 < time < 110.5 else "5"} for time in taken]
+    times = row_times(rows, [time + 0.01 for time in taken], TimeColumn("t"), utc_offset=0.0)
+    column = CommandColumn("watts", Measure("MeanPower", "W", "Power."))
+    truth = column.value(taken, rows, Window(100.0, 110.0))
+    assert column.value(times, rows, Window(100.0, 110.0)) == pytest.approx(truth, rel=0.002)
+
+
 def test_spans_are_laid_on_the_runs_clock_by_the_quickest_row():
     rows = [{"span": 1.0}, {"span": 1.0}, {"span": 1.0}]
     received = [101.3, 102.1, 103.4]

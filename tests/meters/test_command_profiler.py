@@ -233,15 +233,74 @@ def test_a_last_row_that_was_torn_within_a_number_is_no_row(measure):
     # Three cells as in the heading, and a power of 5 W of which 500 W are left.
     rows = "time,percent,watts\\n0,20,500\\n1,20,500\\n2,20,500\\n"
     script = f"printf '{rows}'; trap 'printf 3,20,5; exit 0' INT; while :; do sleep 0.05; done"
-    context = measure(command=["bash", "-c", script], columns=COLUMNS[:1])
+    context = measure(command=["bash", "-c", script], columns=COLUMNS[:1], period_s=PATIENT)
     with (context.raw_data_folder / "samples.csv").open(newline="") as file:
         assert [row["watts"] for row in csv.DictReader(file)] == ["500.000000"] * 3
 
 
 def test_a_program_that_says_nothing_costs_its_values_and_not_the_run(measure):
-    context = measure("--silent", startup_s=0.05)
+    context = measure("--silent", startup_s=0.05, period_s=PATIENT)
     assert set(context.measures.values()) == {None}
     assert any("no sample arrived" in problem for problem in problems(context))
+
+
+ROWS_WITHOUT_FLUSHING = """
+import signal, sys, time
+signal.signal(signal.SIGINT, lambda *_: sys.exit())
+rows = {rows}
+rows.write("watts\\n")
+while True:
+    rows.write("5.0\\n")
+    time.sleep(0.02)
+"""
+
+
+def test_a_script_that_does_not_flush_is_read_while_it_measures(measure, monkeypatch):
+    monkeypatch.delenv("PYTHONUNBUFFERED", raising=False)
+    script = ROWS_WITHOUT_FLUSHING.format(rows="sys.stdout")
+    context = measure(command=[sys.executable, "-c", script], columns=COLUMNS[:1])
+    assert context.measures["Energy"] is not None
+    assert problems(context) == []
+
+
+def test_a_program_that_keeps_its_rows_back_is_told_how_to_write_them(measure):
+    script = ROWS_WITHOUT_FLUSHING.format(rows="open(1, 'w')")
+    context = measure(command=[sys.executable, "-c", script], columns=COLUMNS[:1], startup_s=0.3, period_s=PATIENT)
+    assert context.measures["Energy"] is None
+    [told] = [problem for problem in problems(context) if "kept" in problem]
+    assert told.endswith("rows back until it ended: have it flush each (such as by `stdbuf -oL`), or name their times")
+
+
+@pytest.mark.parametrize(("period", "seconds"), [(6.0, 7.2), (60.0, 12.0)])
+def test_the_row_that_covers_the_end_of_the_mission_is_awaited_from_a_slow_program_too(
+    measure, monkeypatch, period, seconds
+):
+    awaited, wait = [], MeterProcess.wait
+
+    def noted(self, is_enough, *, seconds):
+        awaited.append(seconds)
+        return wait(self, is_enough, seconds=seconds)
+
+    monkeypatch.setattr(MeterProcess, "wait", noted)
+    measure(period_s=period)
+    assert awaited[-1] == pytest.approx(seconds)
+
+
+def test_a_program_writes_decimal_points_whatever_the_users_language(measure, monkeypatch):
+    monkeypatch.setenv("LC_NUMERIC", "de_DE.UTF-8")
+    written = 'if [ "$LC_NUMERIC" = C ]; then echo 7.5; else echo 7,5; fi'  # as printf and awk do
+    script = f"echo watts; while :; do {written}; sleep 0.05; done"
+    context = measure(command=["bash", "-c", script], columns=COLUMNS[:1], startup_s=0.5, seconds=0.5)
+    assert context.measures["Energy"] == pytest.approx(7.5 * context.window.duration)
+
+
+def test_numbers_with_a_decimal_comma_are_told_to_be_no_rows(measure):
+    script = "echo watts,volts; while :; do echo 7,5,12,1; sleep 0.05; done"
+    context = measure(command=["bash", "-c", script], columns=COLUMNS[:1], startup_s=0.2, period_s=PATIENT)
+    assert context.measures["Energy"] is None
+    [told] = [problem for problem in problems(context) if "is a row" in problem]
+    assert told.startswith("none of ")
+    assert told.endswith("lines of its output is a row, such as '7,5,12,1' (cells as in the heading, decimal points)")
 
 
 def test_a_program_that_is_deaf_is_killed(measure):

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+import math
 import random
 from itertools import accumulate
 
@@ -122,6 +123,96 @@ def test_an_energy_is_doubted_where_power_changed_much_between_samples_that_are_
     context = make_context(tmp_path, plugin, robot=None, clock=clock)
     rehearse(context, plugin, mission=lambda: clock.sleep(8.0))
     assert [one.problem for one in context.broker.findings if "apart" in one.problem] == told
+
+
+@pytest.mark.parametrize(
+    ("rate_hz", "renewed", "is_doubted"), [(1.0, 0.0, True), (20.0, 1.0, True), (20.0, 0.0, False)]
+)
+def test_values_of_a_phase_are_doubted_where_power_changes_at_its_ends_and_is_rarely_renewed(
+    tmp_path, rate_hz, renewed, is_doubted
+):
+    clock = FakeClock()
+
+    def say(time):
+        time = time // renewed * renewed if renewed else time
+        return ElectricalReading((25.0 if 8.2 < time < 12.3 else 5.0) + 0.01 * (time * 0.7 % 1))  # with some noise
+
+    plugin = ScriptedMeter(say, rate_hz=rate_hz)
+    context = make_context(tmp_path, plugin, robot=None, clock=clock, phases=["lift"])
+
+    def mission():
+        clock.sleep(8.2)
+        with context.phase("lift"):
+            clock.sleep(4.1)
+        clock.sleep(60.0)
+
+    measures = rehearse(context, plugin, mission=mission)
+    assert (abs(measures["Energy.lift"] / (25.0 * 4.1) - 1) > 0.05) == is_doubted
+    doubted = [fields["measures"] for kind, fields in context.broker.records if kind == "finding"]
+    assert doubted == ([["Energy.lift", "MeanPower.lift"]] if is_doubted else [])
+
+
+@pytest.mark.parametrize(("renewed", "off"), [(2.0, "28 J of 410 J"), (1.0, "")])
+def test_steps_between_updates_are_as_wide_as_those_however_often_the_meter_is_read(tmp_path, renewed, off):
+    def say(time):
+        told = time // renewed * renewed
+        watts = (18.0, 18.0, 33.0, 21.0)[int(told // 3.3) % 4]
+        return ElectricalReading(watts + 0.01 * (told * 0.37 % 1))
+
+    clock, plugin = FakeClock(), ScriptedMeter(say, rate_hz=1.0)
+    context = make_context(tmp_path, plugin, robot=None, clock=clock)
+    rehearse(context, plugin, mission=lambda: clock.sleep(20.0))
+    told = f"the power changed between samples that are 2.0 s apart: the energy may be off by {off}"
+    assert [finding.problem for finding in context.broker.findings] == ([told] if off else [])
+
+
+class CoarseCounter(ScriptedMeter):
+    """Counts whole joules, 10 in a second; its power of a moment misses 4 % of that."""
+
+    counter_step = 1.0
+
+    def __init__(self):
+        super().__init__(lambda time: ElectricalReading(9.6 + 0.01 * (time * 7 % 1), joules=10.0 * time // 1))
+
+
+@pytest.mark.parametrize(
+    ("seconds", "origin", "parts"),
+    [(100.0, "counter", [40.0, 50.0, 10.0]), (100.0, "counter", [99.8, 0.2]), (12.0, "power", [9.0, 3.0])],
+    ids=["fine", "too coarse for a part", "too coarse for all"],
+)
+def test_energies_of_phases_add_up_to_that_of_the_mission(tmp_path, seconds, origin, parts):
+    clock, plugin = FakeClock(), CoarseCounter()
+    names = [f"part{number}" for number in range(len(parts))]
+    context = make_context(tmp_path, plugin, robot=None, clock=clock, phases=names)
+
+    def mission():
+        for name, duration in zip(names, parts, strict=True):
+            with context.phase(name):
+                clock.sleep(duration)
+
+    measures = rehearse(context, plugin, mission=mission)
+    facts = json.loads((context.raw_data_folder / "quality.json").read_text())
+    assert facts["energy_from"] == {"": origin}
+    assert measures["Energy"] == pytest.approx((10.0 if origin == "counter" else 9.6) * seconds, rel=0.01)
+    assert math.fsum(measures[f"Energy.{name}"] for name in names) == pytest.approx(measures["Energy"], rel=0.001)
+    assert measures[f"Energy.{names[-1]}"] == pytest.approx(9.8 * parts[-1], rel=0.03)
+
+
+@pytest.mark.parametrize(("every", "is_doubted"), [(3.0, True), (2.0, True), (0.2, False)])
+def test_an_energy_counter_that_is_seldom_renewed_is_doubted_where_there_is_no_power(measure, every, is_doubted):
+    measures, problems = measure(
+        lambda time: ElectricalReading(None, wobbling(time), joules=8.0 * (time // every * every)), seconds=11.5
+    )
+    assert (abs(measures["Energy"] / (8.0 * 11.5) - 1) > 0.04) == is_doubted
+    assert ["may be behind by" in problem for problem in problems] == ([True] if is_doubted else [])
+
+
+def test_an_energy_counter_that_is_seldom_renewed_gives_way_to_power(measure):
+    measures, problems = measure(
+        lambda time: ElectricalReading(8.0 + 0.01 * (time * 7 % 1), joules=8.0 * (time // 3 * 3)), seconds=11.5
+    )
+    assert measures["Energy"] == pytest.approx(8.0 * 11.5, rel=0.01)
+    assert problems == []
 
 
 def test_a_counter_that_is_told_for_a_part_of_the_window_does_not_stand_for_the_whole(measure):

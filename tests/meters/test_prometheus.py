@@ -206,6 +206,48 @@ def test_a_series_that_is_seldom_renewed_by_its_own_stamps_is_doubted(tmp_path, 
     assert told in " ".join(found)
 
 
+@pytest.mark.parametrize(
+    ("metric", "rate_hz", "off"),
+    [("psu_power_watts", 1.0, "9 %"), ("psu_power_watts", 4.0, ""), ("wheel_ratio", 1.0, "")],
+)
+def test_a_mean_of_power_that_changed_much_between_scrapes_is_doubted(tmp_path, monkeypatch, metric, rate_hz, off):
+    clock = FakeClock(100.0)
+    page = "robot_runner.meters.http_requests.HttpDevice.get"
+
+    def watts():  # busy in the mission alone, which begins and ends with it
+        return 25.0 if 100.5 < clock.now() < 107.6 else 5.0
+
+    monkeypatch.setattr(page, lambda *_, **__: f"{metric} {watts()}\n".encode())
+    plugin = Prometheus("http://lab:9100/metrics", [metric], rate_hz=rate_hz)
+    found = problems(measured(tmp_path, plugin, clock, seconds=8.0))
+    told = f"{metric} changed between scrapes that are 1.0 s apart: its mean may be off by {off}"
+    assert found == ([told] if off else [])
+
+
+@pytest.mark.parametrize(
+    ("metric", "value", "told"),
+    [
+        (
+            "gpu_power_watts",
+            lambda time: 21.437 if time < 25.0 else 187.052,
+            "every 24 s only: its mean is that of 2 v",
+        ),
+        ("gpu_energy_joules_total", lambda time: 21.4 * (time // 25 * 25), "every 24 s only: its increase may be off"),
+        ("psu_power_watts", lambda time: 21 if time < 25.0 else 187, ""),  # in whole watts: as it may well be
+        ("gpu_power_watts", lambda time: 21.437 + 0.001 * time, ""),
+        ("load_ratio", lambda time: 0.25 if time < 25.0 else 0.75, ""),
+    ],
+)
+def test_power_that_stood_still_to_the_last_digit_is_doubted_however_few_its_renewals(
+    tmp_path, monkeypatch, metric, value, told
+):
+    clock = FakeClock()
+    page = "robot_runner.meters.http_requests.HttpDevice.get"
+    monkeypatch.setattr(page, lambda *_, **__: f"{metric} {value(clock.now())}\n".encode())
+    found = problems(measured(tmp_path, Prometheus("http://robot:9400/metrics", [metric]), clock, seconds=40.0))
+    assert [told in each for each in found] == ([True] if told else [])
+
+
 def test_a_label_in_any_language_is_kept(tmp_path, monkeypatch):
     page = 'room_watts{room="Küche"} 5\n'.encode()
     monkeypatch.setattr("robot_runner.meters.http_requests.HttpDevice.get", lambda *_, **__: page)
@@ -267,7 +309,7 @@ def test_nothing_at_the_address_is_told_and_fails_the_run_before_its_mission(tmp
 
 
 def test_a_machine_without_the_library_is_told_which_extra_brings_it(monkeypatch):
-    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    monkeypatch.setitem(sys.modules, "prometheus_client.parser", None)  # as where it is not installed
     (finding,) = findings("http://127.0.0.1:9/metrics", "up")
     assert "robot-runner[prometheus]" in finding.fix
 

@@ -351,6 +351,19 @@ def test_answers_that_are_no_number_are_refused(answer):
         parse_number(answer)
 
 
+@pytest.mark.parametrize("answer", ["12,50", "-0,613 A", "+7,5W"])
+def test_a_decimal_comma_is_not_taken_for_the_end_of_a_whole_number(answer):
+    with pytest.raises(ValueError, match="with a comma"):
+        parse_number(answer)
+
+
+@pytest.mark.parametrize(
+    ("answer", "number"), [("12.50,0", 12.5), ("+1.2E+01,+7.0E-01", 12.0), ("12,V", 12.0), ("3,0,1", 3.0)]
+)
+def test_of_several_numbers_the_first_counts(answer, number):
+    assert parse_number(answer) == number
+
+
 SIMULATED = """\
 spec: "1.1"
 devices:

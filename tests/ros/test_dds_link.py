@@ -7,6 +7,7 @@ import queue
 import threading
 import time
 from contextlib import ExitStack
+from functools import partial
 
 import pytest
 from tests.ros.dds_domain import LOOPBACK, claim_domain
@@ -25,7 +26,7 @@ pytest.importorskip("cyclonedds", reason="it is not published built for every ma
 from robot_runner.ros import dds_reception, dds_transport, graph_look
 
 DOMAIN = claim_domain()
-STRING = "std_msgs/String"
+STRING, PLACE = "std_msgs/String", "lab_msgs/Place"
 
 
 def other_node(**options):
@@ -126,6 +127,66 @@ def test_a_subscriber_that_goes_while_it_is_to_acknowledge_is_not_said_to_be_rea
 
     monkeypatch.setattr(kind, "_is_acknowledged", goes_meanwhile)
     assert not mine.advertise("cmd_vel", "geometry_msgs/Twist")
+
+
+def test_a_car_that_was_driven_is_commanded_to_stand_still_as_the_link_is_closed(link, tmp_path):
+    folder = tmp_path / "ackermann_msgs" / "msg"
+    folder.mkdir(parents=True)
+    (folder / "AckermannDrive.msg").write_text("float32 steering_angle\nfloat32 speed\n")
+    car, mine = (link(distro="jazzy", types=str(tmp_path)) for _ in range(2))
+    heard = []
+    car.subscribe("drive", "ackermann_msgs/AckermannDrive", lambda message: heard.append(message["speed"]))
+    wait_until(lambda: mine.advertise("drive", "ackermann_msgs/AckermannDrive"), "the car is found")
+    mine.publish("drive", "ackermann_msgs/AckermannDrive", {"speed": 1.0})
+    mine.close()
+    wait_until(lambda: heard == [1.0, 0.0])
+    with pytest.raises(LinkError, match="is inf"):
+        link(distro="jazzy", types=str(tmp_path)).publish(
+            "drive", "ackermann_msgs/AckermannDrive", {"speed": float("inf")}
+        )
+
+
+@pytest.fixture
+def with_place(link, tmp_path):
+    """Open a link that knows lab_msgs/Place by this definition."""
+
+    def opened(name, definition):
+        folder = tmp_path / name / "lab_msgs" / "msg"
+        folder.mkdir(parents=True)
+        (folder / "Place.msg").write_text(f"{definition}\n")
+        return link(distro="jazzy", types=str(tmp_path / name))
+
+    return opened
+
+
+def test_another_version_of_a_type_is_refused_as_its_values_would_be_taken_for_others(with_place):
+    robot, mine = with_place("theirs", "float64 y\nfloat64 x"), with_place("ours", "float64 x\nfloat64 y")
+    robot.publish("place", PLACE, {"x": 1.0, "y": 2.0})
+    wait_until(lambda: "/place" in mine.topics())
+    for use in (partial(mine.subscribe, callback=print), partial(mine.subscribe_raw, callback=print), mine.advertise):
+        with pytest.raises(LinkError, match="another version of lab_msgs/Place than the one that is known") as refused:
+            use("place", PLACE)
+        assert "types=" in refused.value.fix
+
+
+def test_a_comment_makes_no_other_version_of_a_type(with_place):
+    robot, mine = with_place("theirs", "float64 x  # m\nfloat64 y"), with_place("ours", "float64 x\nfloat64 y")
+    robot.publish("place", PLACE, {"x": 1.0, "y": 2.0}, qos=Qos.TRANSIENT_LOCAL)
+    assert mine.wait_for("place", PLACE, timeout=60.0) == {"x": 1.0, "y": 2.0}
+
+
+def test_a_publisher_of_another_version_that_comes_later_ends_what_is_believed_of_its_topic(with_place, monkeypatch):
+    other, robot = with_place("theirs", "float64 y\nfloat64 x"), with_place("same", "float64 x\nfloat64 y")
+    mine, heard = with_place("ours", "float64 x\nfloat64 y"), []
+    mine.subscribe("place", PLACE, heard.append)
+    monkeypatch.setattr(dds_transport, "_check_types", lambda *_: None)  # it is of no link
+    wait_until(lambda: not robot.publish("place", PLACE, {"x": 1.0}) and heard)
+    other.publish("place", PLACE, {"x": 1.0})
+    (subscription,) = mine._transport._subscriptions
+    wait_until(lambda: subscription.misfit)
+    wait_until(lambda: not robot.publish("place", PLACE, {"x": 3.0}) and mine._first_fault)
+    with pytest.raises(LinkError, match="another version of lab_msgs/Place"):
+        mine.close()
 
 
 @pytest.mark.long

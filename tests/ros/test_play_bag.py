@@ -21,6 +21,7 @@ from tests.ros.ros1_master import quiet_about_rospy
 from robot_runner.core.errors import LinkError, PluginError
 from robot_runner.core.events.context import SystemClock
 from robot_runner.core.links import commanded_topics
+from robot_runner.core.links.connect import is_simulation
 from robot_runner.core.links.robot import Encoding, GraphEndpoint, Qos
 from robot_runner.core.plugin import Circumstances
 from robot_runner.plugins import treatment
@@ -168,6 +169,15 @@ def test_messages_are_as_far_apart_as_they_were_recorded_whatever_recorded_them(
     assert context.measures["MaxPlayLateness"] == pytest.approx(0.0, abs=1e-9)
     with (context.raw_data_folder / "played.csv").open() as file:
         assert [float(row["moment_s"]) for row in csv.DictReader(file)][-1] == pytest.approx(19 * 0.05)
+
+
+def test_the_time_of_the_bag_makes_no_simulation_of_what_is_measured_beside_it(play, scans):
+    link, _ = play(scans["mcap"], clock=True)
+    assert "/clock" in link.topics()
+    assert not is_simulation(link)
+    link.known_topics["/clock"] = "rosgraph_msgs/Clock"
+    link.known_publishers["/clock"] = [GraphEndpoint("/gazebo", "rosgraph_msgs/Clock")]
+    assert is_simulation(link)
 
 
 def test_the_time_of_the_bag_is_told_on_clock_before_what_was_recorded_then(play, scans):

@@ -9,6 +9,8 @@ from contextlib import closing
 
 import pytest
 import yaml
+from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.typesys import Stores, get_typestore
 from tests.ros.recordings import BEGIN_NS, scans_of_ros2
 
 from robot_runner.core.errors import PluginError
@@ -41,6 +43,29 @@ def test_messages_are_found_whatever_quality_of_service_is_written_beside_them(t
     of_scans["offered_qos_profiles"] = ""
     metadata.write_text(json.dumps(told))
     assert found(path) == ({"/note": 1, "/scan": 20}, {})
+
+
+@pytest.mark.parametrize(
+    ("digest", "is_read"),
+    [
+        ("RIHS01_3ad2d04dd29ba19d04b16659afa3ccaedd691914b02a64e82e252f2fa6a586a9", True),  # in rosidl's JSON files
+        (None, True),  # that of rosbags, which has written the bag
+        ("RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18", False),  # of std_msgs/String
+    ],
+)
+def test_a_type_with_a_char_is_known_by_the_digest_of_its_version(tmp_path, digest, is_read):
+    store, path, name = get_typestore(Stores.ROS2_JAZZY), tmp_path / "hall", "std_msgs/msg/Char"
+    with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        keys = writer.add_connection("/keys", name, typestore=store)
+        writer.write(keys, BEGIN_NS, bytes(store.serialize_cdr(store.types[name](65), name)))
+    metadata = path / "metadata.yaml"
+    told = _loaded(metadata)
+    (topic,) = told["rosbag2_bagfile_information"]["topics_with_message_count"]
+    topic["topic_metadata"]["type_description_hash"] = digest or topic["topic_metadata"]["type_description_hash"]
+    metadata.write_text(json.dumps(told))
+    messages, problems = found(path)
+    assert messages == ({"/keys": 1} if is_read else {})
+    assert bool(problems) is not is_read
 
 
 def test_messages_that_are_only_counted_are_told(tmp_path):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import logging
 import os
 import re
@@ -20,6 +21,7 @@ from tests.loopback_port import claim_port
 from tests.ros.ros1_master import quiet_about_rospy, ros1_environment, ros1_master
 from tests.waiting import wait_until
 
+from robot_runner import node_present
 from robot_runner.core.errors import LinkError
 from robot_runner.core.events.context import SystemClock
 from robot_runner.core.events.early_end import RunInterrupted
@@ -33,8 +35,10 @@ from robot_runner.ros.ros1_master import Master
 from robot_runner.ros.ros1_publisher import Publisher
 from robot_runner.ros.ros1_transport import _Subscription
 from robot_runner.ros.ros1_types import as_mapping, as_message, message_class, shape_of
+from robot_runner.ros.ros_graph import RosGraph
 from robot_runner.ros.shapes import completed
 from robot_runner.ros.transform_buffer import TransformBuffer
+from robot_runner.testing import make_context, rehearse
 
 STRING = "std_msgs/String"
 
@@ -222,6 +226,27 @@ class TestGraph:
             link.call("left", "std_srvs/Trigger", timeout=1.0)
         robot.offer("left", "std_srvs/Trigger", lambda _: {"success": True})
         assert link.call("left", "std_srvs/Trigger")["success"]
+
+    def test_a_node_that_was_killed_is_neither_present_nor_counted(self, opened, master_uri, tmp_path):
+        link = opened()
+        link.publish("lamp", STRING, {"data": "on"})
+        (own,) = {each.node for each in link.publishers("lamp")}
+        graph = RosGraph(["/dead"])
+        context = make_context(tmp_path, graph, robot=f"ros1:master={master_uri}", clock=SystemClock())
+        nobody = f"http://127.0.0.1:{claim_port()}"
+        with xmlrpc.client.ServerProxy(master_uri) as server, ExitStack() as watching:
+            server.registerPublisher("/dead", "/left", STRING, nobody)
+            watching.callback(server.unregisterPublisher, "/dead", "/left", nobody)
+            watching.callback(context.resources.close)
+            assert "/dead" in link.nodes()  # as `rosnode list` says
+            assert node_present(own).watch(context, watching)().holds
+            look = node_present("/dead").watch(context, watching)()
+            assert (look.holds, look.is_known) == (False, True)
+            assert look.seen == "/dead is listed by the graph and does not answer"
+            measured = rehearse(context, graph)
+        assert measured["CPU_dead"] is None
+        assert "/dead" not in json.loads((context.run_path / "RosGraph" / "graph.json").read_text())["stop"]["nodes"]
+        assert any("node /dead is not on the graph" in each.problem for each in context.broker.findings)
 
     def test_who_waits_in_vain_is_told_of_the_nearest_topic(self, opened):
         robot, link = opened(), opened()

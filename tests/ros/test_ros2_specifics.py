@@ -8,6 +8,8 @@ import sys
 import threading
 import time
 from contextlib import closing
+from functools import partial
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
@@ -15,6 +17,7 @@ import pytest
 from robot_runner.core.errors import LinkError
 from robot_runner.core.events.context import SystemClock
 from robot_runner.core.links.robot import Qos
+from robot_runner.ros.dds_link import open_dds_link
 from robot_runner.ros.ros2_link import open_ros2_link
 
 pytestmark = pytest.mark.ros2
@@ -85,6 +88,31 @@ def test_a_field_that_is_left_out_holds_its_default(link):
     link.subscribe("turn", "geometry_msgs/Quaternion", heard.append)
     until(lambda: heard, lambda: link.publish("turn", "geometry_msgs/Quaternion", {}))
     assert heard[0] == {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}
+
+
+def test_an_array_of_messages_with_default_arrays_arrives(link):
+    heard = []
+    link.subscribe("nested", "test_msgs/MultiNested", heard.append)
+    sent = {"unbounded_sequence_of_arrays": [{"bool_values": [True, False, True]}]}
+    until(lambda: heard, lambda: link.publish("nested", "test_msgs/MultiNested", sent))
+    (arrays,) = heard[0]["unbounded_sequence_of_arrays"]
+    assert arrays["bool_values"] == [True, False, True]
+    assert arrays["int32_values_default"] == [0, 2**31 - 1, -(2**31)]
+
+
+def test_another_version_of_a_type_is_refused_as_its_values_would_be_taken_for_others(link, tmp_path):
+    (tmp_path / "test_msgs" / "msg").mkdir(parents=True)
+    text = Path(sys.prefix, "share", "test_msgs", "msg", "Builtins.msg").read_text()
+    first, second = (line for line in text.splitlines() if line and not line.startswith("#"))
+    (tmp_path / "test_msgs" / "msg" / "Builtins.msg").write_text(f"{second}\n{first}\n")
+    options = {"domain": DOMAIN, "distro": "jazzy", "types": str(tmp_path)}
+    with closing(open_dds_link(options, SystemClock())) as other:
+        other.advertise("times", "test_msgs/Builtins")
+        until(lambda: "/times" in link.topics())
+        for use in (partial(link.subscribe, callback=print), link.advertise):
+            with pytest.raises(LinkError, match="another version of test_msgs/Builtins than"):
+                use("times", "test_msgs/Builtins")
+        assert len(link.publishers("times")) == 1
 
 
 def test_a_callback_may_call_a_service(link):

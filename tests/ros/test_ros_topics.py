@@ -99,6 +99,16 @@ def test_a_topic_that_nobody_publishes_yields_no_value_and_a_warning(measure):
     assert any("the topic is not published within 1 s" in each.problem for each in context.broker.findings)
 
 
+def test_a_topic_that_is_only_subscribed_and_has_no_type_yet_is_one_that_nobody_publishes(tmp_path):
+    clock = FakeClock()
+    link = FakeRobotLink(clock)
+    link.known_topics = {"scan": "*"}  # as `rostopic echo /scan` subscribes it
+    plugin = RosTopics(["scan"], patience=0.5)
+    context = make_context(tmp_path, plugin, links=FakeLinks(robot=link), clock=clock)
+    assert rehearse(context, plugin)["ScanRate"] is None
+    assert "topic scan: the topic is not published within 0.5 s" in context.broker.findings[0].problem
+
+
 def test_stamps_of_the_future_yield_no_age_and_a_warning_about_clocks(measure):
     context = measure(RosTopics({"odom": 20.0}), age=-0.5)
     assert context.measures["OdomAge"] is None

@@ -41,10 +41,23 @@ def test_an_array_has_its_length_and_a_sequence_none():
     assert TypeCatalogue.of(2).shape("sensor_msgs/LaserScan").fields[-1].count == UNBOUNDED
 
 
+def test_a_type_with_a_text_of_wide_characters_is_refused_with_what_to_do(tmp_path):
+    file = _written(tmp_path, "msg/Label.msg", "wstring<=5[] names")
+    with pytest.raises(LinkError, match=r"'names' of .*/msg/Label is a wstring, which only rclpy can send") as refused:
+        TypeCatalogue.of(2, "jazzy", (file,))
+    assert "over ros2" in refused.value.fix
+
+
 def test_an_orientation_that_is_left_out_is_none_at_all_in_ros_2_only():
     for number, w in ((1, 0.0), (2, 1.0)):
         shape = TypeCatalogue.of(number).shape("geometry_msgs/Pose")
         assert completed(shape, {}, where="goal")["orientation"]["w"] == w
+
+
+@pytest.mark.parametrize(("distro", "status"), [("humble", 0), ("jazzy", -2), ("kilted", -2)])
+def test_a_satellite_fix_of_which_nothing_is_told_is_unknown_since_jazzy(distro, status):
+    shape = TypeCatalogue.of(2, distro).shape("sensor_msgs/NavSatFix")
+    assert completed(shape, {}, where="fix")["status"]["status"] == status
 
 
 # The sums that rosmsg prints on ROS 1 Noetic, and the hashes in rosidl's generated JSON files of ROS 2.
@@ -55,6 +68,8 @@ def test_an_orientation_that_is_left_out_is_none_at_all_in_ros_2_only():
         (1, "nav_msgs/Odometry", "cd5e73d190d741a2f92e81eda573aca7"),
         (1, "geometry_msgs/Twist", "9f195f881246fdfa2798d1d3eebca84a"),
         (2, "std_msgs/String", "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18"),
+        (2, "std_msgs/Char", "RIHS01_3ad2d04dd29ba19d04b16659afa3ccaedd691914b02a64e82e252f2fa6a586a9"),
+        (2, "rmw_dds_common/Gid", "RIHS01_ab6f21cfbb0a6dbb837161e1110c2051a2850ed9f9c53944d7115d9bcebedf71"),
     ],
 )
 def test_digests_are_those_of_ros(number, name, digest):

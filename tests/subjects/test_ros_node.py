@@ -345,3 +345,11 @@ def test_nodes_of_this_computer_write_their_logs_beside_their_output_unless_they
 ) -> None:
     node = RosNode("nav", "planner", ros=2, **options)
     assert node.variables(SimpleNamespace(folder=Path("/results/Nav"))) == folder
+
+
+@pytest.mark.parametrize(
+    "text", ["on", "1", "1e-6", "h\u00e9 \u6f22", "\U0001f916 ok", "\\ud83e\\udd16", "a\nb: 'c' #"]
+)
+def test_a_text_is_the_same_text_in_yaml(text: str) -> None:
+    (value,) = RosNode("nav", "planner", parameters={"say": text}, ros=2).words()[-1:]
+    assert yaml.safe_load(value.removeprefix("say:=")) == text

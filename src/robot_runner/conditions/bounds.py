@@ -93,7 +93,8 @@ class Bound(Condition):
                 reading = read()
             except LinkError as error:
                 reading = error.problem
-            if isinstance(reading, str) or not math.isfinite(reading):
+            # Infinite ranges are known: nothing is within reach, or something is too near to measure (REP 117).
+            if isinstance(reading, str) or math.isnan(reading):
                 seen = reading if isinstance(reading, str) else f"{self.quantity} is not known"
                 return Look(holds=False, seen=seen, is_known=False)
             holds = reading < self.limit if self.is_below else reading > self.limit

@@ -12,11 +12,11 @@ from robot_runner.core.events.condition import Condition, Look, LookAgain
 from robot_runner.core.events.context import RobotRunnerContext
 from robot_runner.core.links.connect import SIMULATED, connect_robot, robot_namespace
 from robot_runner.core.links.graph_names import full_name
-from robot_runner.core.links.robot import RobotLink
+from robot_runner.core.links.robot import AsksNodes, RobotLink
 
 
 def node_present(node: str, *, namespace: str = "") -> Condition:
-    """Return the condition that a node is on the robot's graph.
+    """Return the condition that a node is on the robot's graph, and answers where that lists killed ones (ROS 1).
 
     Args:
         node: its name, relative to the robot's namespace unless it begins with `/`.
@@ -162,6 +162,8 @@ class _Present(_OnGraph):
                 return Look(holds=False, seen="the graph tells of no services", is_known=False)
             seen = f"{len(there)} {self.kind}s are there{f', among them {near}' if near else ''}"
             return Look(holds=False, seen=f"{name} is not: {seen}")
+        if self.kind == "node" and isinstance(link, AsksNodes) and not link.answers(name):
+            return Look(holds=False, seen=f"{name} is listed by the graph and does not answer")
         found = link.topics().get(name) if self.message_type else None
         if self.message_type and found != self.message_type.replace("/msg/", "/"):  # the spelling of ROS 2
             is_known = found != "*"  # the type of a topic whose type is not known

@@ -91,6 +91,7 @@ class _WatchedGuard:
             if self._look_again is None:
                 return
             sampling = self._sampler.stop()
+            self._look_again = None  # a look that hangs may come back later
             if sampling.failures:
                 problem = f"the guard {str(self._guard.condition)!r} could not be watched {sampling.failures} times"
                 fix = "Look at what it asks for; nothing is known of it for these times."
@@ -107,10 +108,15 @@ class _WatchedGuard:
     def _look(self) -> None:
         if self._has_come_true or self._look_again is None:
             return
-        look = self._look_again()
+        self._unknown = "a look at it has not come back"
+        try:
+            look = self._look_again()
+        except Exception as error:
+            self._unknown = f"{type(error).__name__}: {error}"
+            raise
         self._was_known = self._was_known or look.is_known
         self._unknown = "" if look.is_known else look.seen or "it is not known"
-        if look.holds:
+        if look.holds and self._look_again is not None:
             self._has_come_true = True
             self._act(look.seen)
 

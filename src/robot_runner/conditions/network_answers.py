@@ -25,7 +25,7 @@ _PATIENCE = 2.0
 #: How much of an answer is searched for a text, and how much of it is taken at once, bytes.
 _MOST_BYTES, _CHUNK = 1 << 20, 1 << 16
 _MOST_PORT = 65535
-_SUCCESS = range(200, 300)
+_SUCCESS, _REDIRECTIONS = range(200, 300), range(300, 400)
 
 
 def port_open(port: int, *, host: str = LOCAL) -> Condition:
@@ -55,7 +55,7 @@ def http_answers(url: str, *, status: int | None = None, text: str = "") -> Cond
 
     Args:
         url: of HTTP; proxies of the environment are not used.
-        status: the expected status; by default any from 200 to 299.
+        status: the expected status; by default any from 200 to 299. Redirections are followed, unless one is expected.
         text: must be in the answer.
 
     Raises:
@@ -147,7 +147,12 @@ class _HttpAnswers(Condition):
         del context, opened
         import urllib.request  # noqa: PLC0415  # imports half of what a start does, and few conditions ask servers
 
-        opener = urllib.request.build_opener(urllib.request.ProxyHandler({}))
+        class Staying(urllib.request.HTTPRedirectHandler):
+            def redirect_request(self, *_: object) -> None: ...
+
+        # A redirection that is awaited is not followed: the answer would be that of the page to which it leads.
+        staying = [Staying] if self.status in _REDIRECTIONS else []
+        opener = urllib.request.build_opener(urllib.request.ProxyHandler({}), *staying)
         return lambda: self._look(opener)
 
     def _look(self, opener: OpenerDirector) -> Look:

@@ -28,6 +28,9 @@ _PERCENT = 100.0
 _MOST_SHARE = 1.5
 #: How old a message of a battery may be, s: boards publish it at least once a second.
 _BATTERY_WITHIN = 10.0
+#: A topic on which so many messages came has fallen silent where none has come for so long, s, and for so many times
+#: the longest time between two. Others may tell of changes only.
+_REGULAR, _SILENT, _PAUSES = 20, 10.0, 10
 #: How often subscribing is tried again, s.
 _AGAIN = 0.5
 
@@ -70,7 +73,8 @@ def topic_above(
         field: the path to a number, such as `pose.pose.position.x` or `ranges.0`.
         limit: in the field's unit.
         namespace: which robot, where there are several.
-        within_s: how old the newest message may be, s of the run's clock.
+        within_s: how old the newest message may be, s of the run's clock; left out, any age, unless the topic has
+            fallen silent: after 20 messages or more for 10 s, and for ten times the longest time between two.
 
     Raises:
         ConditionError: the limit is not a finite number, or `within_s` is not positive.
@@ -280,9 +284,13 @@ class _TopicField(Quantity):
     def watch(self, context: RobotRunnerContext, opened: ExitStack) -> Callable[[], Reading]:
         clock = context.clock
         newest: list[tuple[float, Message]] = []
+        count, longest = 0, 0.0
 
         def take(message: Message) -> None:
-            newest[:] = [(clock.now(), message)]
+            nonlocal count, longest
+            now = clock.now()
+            count, longest = count + 1, max(longest, now - newest[0][0]) if newest else 0.0
+            newest[:] = [(now, message)]
 
         listening = _Listening(
             self.topic, self.message_type, take, context=context, namespace=self.namespace, opened=opened
@@ -294,7 +302,8 @@ class _TopicField(Quantity):
                 return problem or f"no message on {listening.name} yet"
             at, message = newest[0]
             age = clock.now() - at
-            if age > self.within_s:
+            silence = max(_SILENT, _PAUSES * longest) if count >= _REGULAR else math.inf
+            if age > (self.within_s if self.within_s < math.inf else silence):
                 return f"the newest message on {listening.name} is {age:.1f} s old"
             return self.value_of(message)
 

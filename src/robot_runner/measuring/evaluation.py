@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 
-from robot_runner.core.events.context import Clock, RobotRunnerContext
+from robot_runner.core.events.context import PROBE, Clock, RobotRunnerContext
 from robot_runner.core.events.measure import Measure, MeasureValue, Origin, Over
 from robot_runner.core.events.window import Window
-
-#: Returns the value of each measure over a window; one that it leaves out is missing.
-Evaluate = Callable[[Window], Mapping[str, MeasureValue]]
+from robot_runner.measuring.window_ends import Evaluate, WindowEnds
 
 #: The values of a profiler that measured longer than the mission, by more than this share of it, are doubtful.
 _TOLERANCE = 0.01
+_MORE = "Have the meter sample more often, or what is measured last longer."
 
 
 def publish_measures(
@@ -23,6 +22,7 @@ def publish_measures(
     *,
     origin: Origin = Origin.MEASURED,
     clock: Clock | None = None,
+    times: Sequence[float] = (),
 ) -> None:
     """Publish each measure for the mission, and for each phase that the config asks for.
 
@@ -32,16 +32,27 @@ def publish_measures(
         evaluate: computes the measures' values over a window from the raw samples.
         origin: where the values come from.
         clock: the one that the samples are stamped by, where it is not the run's.
+        times: of the samples, s on that clock: values are doubted where so much changes between the samples around
+            an end of the mission or of a phase that they may be off. Empty for what is known of each moment.
 
     Raises:
         MeasureError: a value is refused.
     """
     window = context.times.window(clock)
-    values = evaluate(window) if window is not None and window.duration > 0 else {}
+    is_over = window is not None and window.duration > 0
+    values = evaluate(window) if window is not None and is_over else {}
     for measure in measures:
         context.publish(measure.name, values.get(measure.name), origin=origin)
+    divided = [each for each in measures if each.over]
+    ends = WindowEnds(times, evaluate, divided)
+    if window is not None and is_over and context.run_id != PROBE:
+        _doubt(context, ends.doubts_about_mission(window))
     for phase in context.times.requested:
-        _publish_phase(context, phase, [each for each in measures if each.over], evaluate, origin, clock)
+        windows = [each.window for each in context.times.phases(clock) if each.name == phase]
+        windows = [each for each in windows if each.duration > 0]
+        _publish_phase(context, phase, windows, divided, evaluate, origin)
+        if len(times) and windows:
+            _doubt(context, ends.doubts_about_phase(phase, windows), f".{phase}")
 
 
 def note_own_window(
@@ -74,16 +85,20 @@ def note_own_window(
 def _publish_phase(
     context: RobotRunnerContext,
     phase: str,
+    windows: Sequence[Window],
     measures: Sequence[Measure],
     evaluate: Evaluate,
     origin: Origin,
-    clock: Clock | None,
 ) -> None:
-    windows = [each.window for each in context.times.phases(clock) if each.name == phase and each.window.duration > 0]
     values = [evaluate(window) for window in windows]
     for measure in measures:
         value = _joined([one.get(measure.name) for one in values], windows, measure.over) if windows else None
         context.publish(f"{measure.name}.{phase}", value, origin=origin)
+
+
+def _doubt(context: RobotRunnerContext, doubts: Iterable[tuple[str, Sequence[str]]], suffix: str = "") -> None:
+    for problem, names in doubts:
+        context.doubt(problem, fix=_MORE, measures=[name + suffix for name in names])
 
 
 def _joined(values: Sequence[MeasureValue], windows: Sequence[Window], over: Over | None) -> MeasureValue:

@@ -31,6 +31,8 @@ _INTERPRETERS = {
 _WRAPPER = re.compile(
     "chrt|doas|env|ionice|nice|nohup|numactl|prlimit|setsid|stdbuf|sudo|taskset|time|timeout|unbuffer|xvfb-run"
 )
+#: Programs that execute what follows their `run` in an environment: a command, or a script of Python.
+_ENVIRONMENTS = re.compile("conda|hatch|mamba|micromamba|pdm|pipenv|pixi|poetry|rye|uv")
 
 _IMPORT = re.compile(r"^[ \t]*(?:from[ \t]+([\w.]+)[ \t]+import|import[ \t]+([\w., \t]+))", re.MULTILINE)
 #: In how many files to search for further ones, and how large such a file may be, bytes.
@@ -65,6 +67,19 @@ def scripts_in(words: Sequence[str]) -> Iterator[str]:
         behind = (place for place, each in enumerate(rest) if _is_own(each) or _options_of(Path(each).name))
         if (start := next(behind, None)) is not None:
             yield from scripts_in(rest[start:])
+    elif _ENVIRONMENTS.fullmatch(path.name) and "run" in rest:
+        yield from _scripts_run(rest[rest.index("run") + 1 :])
+
+
+def _scripts_run(words: Sequence[str]) -> Iterator[str]:
+    """Yield the files that `uv run` and its like execute: options and their values come first."""
+    for place, word in enumerate(words):
+        if word.endswith(".py"):
+            yield word
+            return
+        if _is_own(word) or _options_of(Path(word).name):
+            yield from scripts_in(words[place:])
+            return
 
 
 def _is_own(word: str) -> bool:

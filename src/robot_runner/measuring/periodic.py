@@ -9,6 +9,7 @@ from array import array
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from numbers import Real
 from typing import Any, Generic, Protocol, TypeVar, runtime_checkable
 
 from robot_runner.core.errors import PluginError
@@ -118,8 +119,8 @@ class PeriodicSampler(Generic[R]):
     ones are skipped, so that the samples neither drift nor come in bursts. On a clock that moves only during a sleep on
     it (a simulated robot's, a test's) `read` is called during that sleep, in the thread that sleeps.
 
-    A reading that raises an exception is counted and left out; sampling goes on. So a meter that fails costs samples,
-    which shows in the quality, but not the mission.
+    A reading that raises an exception, or is NaN or infinite, is counted and left out; sampling goes on. So a meter
+    that fails costs samples, which shows in the quality, but not the mission.
 
     Args:
         read: returns one reading; it must not sleep on the run's clock.
@@ -242,7 +243,7 @@ class PeriodicSampler(Generic[R]):
     def _take(self) -> None:
         cpu_begun, begun = time.thread_time(), self._clock.now()
         try:
-            reading = self._read()
+            reading = _checked(self._read())
         except Exception as error:  # noqa: BLE001 - whatever a meter raises, the mission goes on and the quality tells
             self._note_failure(f"{type(error).__name__}: {error}", begun)
         else:
@@ -255,6 +256,17 @@ class PeriodicSampler(Generic[R]):
     def _note_failure(self, what: str, at: float) -> None:
         self._failed_at.append(at)
         self._first_failure = self._first_failure or what
+
+
+def _checked(reading: R) -> R:
+    """Return a reading.
+
+    Raises:
+        ValueError: it is a number that is not finite: libraries of sensors return NaN where a reading failed.
+    """
+    if isinstance(reading, Real) and not math.isfinite(reading):
+        raise ValueError(f"the meter said {reading}")
+    return reading
 
 
 class HostSampler(Generic[R]):

@@ -130,6 +130,7 @@ class SampleQuality:
         coverage: percentage of the window outside gaps; a gap is a pause of more than five periods.
         overdue: for how long within the window a sample was overdue, s: the time beyond one period in intervals of more
             than one and a half periods, including intervals across the window's edges.
+        unreached: for how long the window lasts before the first of all samples and after the last, s.
         jitter: of the times between the window's samples, without those taken for its edges; None for fewer than two
             samples.
         duplicates: samples that came twice and were left out.
@@ -150,6 +151,7 @@ class SampleQuality:
     largest_gap: float
     coverage: float
     overdue: float = 0.0
+    unreached: float = 0.0
     jitter: Jitter | None = None
     duplicates: int = 0
     lost: int = 0
@@ -210,6 +212,10 @@ class SampleQuality:
                 f"samples are missing for {self.overdue:.3f} s of the measured window of {self.duration:.3f} s, "
                 f"or at its edges, at a period of {self.period:.3f} s"
             )
+        elif self.unreached > (1 - MINIMUM_COVERAGE / 100) * self.duration:
+            yield (
+                f"samples leave out {self.unreached:.3f} s at the ends of the measured window of {self.duration:.3f} s"
+            )
 
 
 def quality_of(  # noqa: PLR0913 - each is one thing that a sensor may know of its samples
@@ -245,6 +251,7 @@ def quality_of(  # noqa: PLR0913 - each is one thing that a sensor may know of i
         largest_gap=max(gaps),
         coverage=100.0 * (1.0 - unseen / window.duration) if window.duration else 0.0,
         overdue=_overdue(times, window, period),
+        unreached=max(0.0, times[0] - window.start) + max(0.0, window.end - times[-1]) if len(times) else 0.0,
         jitter=jitter_of(times[bisect_right(times, window.start) : bisect_left(times, window.end)]),
         duplicates=duplicates,
         lost=lost,

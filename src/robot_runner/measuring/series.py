@@ -134,11 +134,16 @@ def growth(counter: Series, window: Window) -> float | None:
     return (counted.values[-1] - counted.values[0]) * window.duration / seen
 
 
-def renewed_every(series: Series) -> float | None:
+def renewed_every(series: Series, *, is_restless: bool = False) -> float | None:
     """Return the time between changes of a series, s, where it is even; None otherwise, or for too few changes.
 
     Even changes are those of a meter that renews its value less often than it is read. A series of two values is left
     out: that is a load which is switched on and off.
+
+    Args:
+        series: as it was read.
+        is_restless: whether it is a quantity that differs at each reading if the meter renews its value, as power with
+            decimals does: then the longest time without a change counts where changes are too few, or uneven.
 
     Example:
         >>> renewed_every(Series([0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0], [7.5, 7.5, 7.6, 7.6, 7.4, 7.4, 7.5]))
@@ -147,13 +152,15 @@ def renewed_every(series: Series) -> float | None:
     times, values = series.times, series.values
     changes = [times[place] for place in range(1, len(series)) if values[place] != values[place - 1]]
     apart = [later - sooner for sooner, later in pairwise(changes)]
+    still = longest_standstill(times, values) if is_restless else []
+    unchanged = still[-1] - still[0] if still else None
     if len(apart) < _EVEN_CHANGES or len(set(values)) == _STATES:
-        return None
+        return unchanged
     every, spread = math.fsum(apart) / len(apart), max(apart) - min(apart)
     # A change is seen only at the next reading, so that times between changes may differ by the time between readings.
     reading = (times[-1] - times[0]) / (len(series) - 1)
     is_even = spread <= _EVENNESS * every or (len(apart) > _EVEN_CHANGES and spread <= _SLACK * reading)
-    return every if is_even else None
+    return every if is_even else unchanged
 
 
 def longest_standstill(times: Sequence[float], values: Sequence[object]) -> Sequence[float]:

@@ -12,7 +12,7 @@ from typing import ClassVar
 from robot_runner.core.errors import Finding
 from robot_runner.core.events.context import RobotRunnerContext
 from robot_runner.core.events.measure import Measure, Origin, Over
-from robot_runner.core.events.window import Window
+from robot_runner.core.events.window import MissionTimes, Window
 from robot_runner.core.links.connect import connect_robot, is_simulation, robot_namespace
 from robot_runner.core.links.robot import Message, Subscription
 from robot_runner.core.plugin import Circumstances, Profiler
@@ -186,13 +186,14 @@ class Battery(Profiler):
         details = {"is_simulated": heard.is_simulated, "measures_current": mission.measures_current}
         quality = quality_of(heard.times, window, self.rate_hz)
         report_quality(context, quality, window, sampled=self._sampled, fix=_FIX, details=details)
-        for problem, names in self._doubts(mission, window):
+        for problem, names in (*self._doubts(mission, window), *self._charge_doubts(mission, context.times)):
             context.doubt(problem, fix=_FIX_MESSAGES, measures=names)
         publish_measures(
             context,
             self.measures,
             lambda part: self._values(mission, part),
             origin=Origin.SIMULATED if heard.is_simulated else Origin.MEASURED,
+            times=heard.times,
         )
 
     def _doubts(self, heard: _Heard, window: Window) -> Iterator[tuple[str, Sequence[str]]]:
@@ -216,18 +217,28 @@ class Battery(Profiler):
                 ("ChargeUsed",),
             )
         values = self._values(heard, window)
-        used, step = values.get("ChargeUsed"), _step(heard.series(heard.charge).values)
-        if used and step > _COARSE * abs(used):
-            off = f"{100 * step / abs(used):.0f} %"
-            yield f"the charge is reported in steps of {step:.2g} %: ChargeUsed may be off by {off}", ("ChargeUsed",)
-        if used == 0:
-            yield "the charge stayed as it was: ChargeUsed lacks what is less than a step of it", ("ChargeUsed",)
         joules = values.get("Energy")
         if joules is not None and joules < 0:
             yield (
                 f"the energy is {joules:.4g} J: the robot tells its current with the wrong sign, or was charged",
                 ("Energy",),
             )
+
+    def _charge_doubts(self, heard: _Heard, times: MissionTimes) -> Iterator[tuple[str, Sequence[str]]]:
+        """Yield doubts about what is used in the mission, or else in its phases, for which steps may be coarse."""
+        step, window = _step(heard.series(heard.charge).values), times.window()
+        if window is not None and (problem := _coarse(self._used(heard, [window]), step)):
+            yield problem, ("ChargeUsed",)
+            return
+        for phase in times.requested:
+            windows = [each.window for each in times.phases() if each.name == phase]
+            if windows and (problem := _coarse(self._used(heard, windows), step)):
+                yield f"phase {phase!r}: {problem}", (f"ChargeUsed.{phase}",)
+
+    def _used(self, heard: _Heard, windows: Sequence[Window]) -> float | None:
+        used = [self._values(heard, window).get("ChargeUsed") for window in windows]
+        known = [each for each in used if each is not None]
+        return math.fsum(known) if known else None
 
     def _values(self, heard: _Heard, window: Window) -> Mapping[str, float | None]:
         """Return the measures over a part of the mission; the nearest messages within it count for its edges."""
@@ -245,6 +256,15 @@ class Battery(Profiler):
             "ChargeUsed": None if charged is None else 0.0 - charged,
             "Energy": integrate(power),
         }
+
+
+def _coarse(used: float | None, step: float) -> str:
+    """Return the doubt about a charge that was used, % of the full one, if it was told in steps; empty for none."""
+    if used == 0:
+        return "the charge stayed as it was: ChargeUsed lacks what is less than a step of it"
+    if used is None or step <= _COARSE * abs(used):
+        return ""
+    return f"the charge is reported in steps of {step:.2g} %: ChargeUsed may be off by {100 * step / abs(used):.0f} %"
 
 
 def _step(values: Sequence[float]) -> float:

@@ -29,6 +29,7 @@ from robot_runner.meters.command_output import (
     Row,
     TimeColumn,
     TimeKind,
+    csv_cell,
     parse_csv,
     repeated_rows,
     row_times,
@@ -37,12 +38,14 @@ from robot_runner.meters.parameter_checks import check_list, check_positive
 
 #: How long to wait after the measured window for the row that covers its end: in periods, and in s.
 _AFTERMATH_PERIODS = 1.2
-_LONGEST_AFTERMATH = 2.0
+_LONGEST_AFTERMATH = 12.0
 #: Stands for the path of the output file in a command.
 _PLACE = "{output}"
 _COUNTERS = (Aggregate.INCREASE, Aggregate.RATE)
 #: If rows have only the times of their arrival, this share of them may equal the row before without a doubt.
 _HELD_UP = 0.3
+#: A row that is kept back has no time of arrival, and one with decimal commas has further cells.
+_ENVIRONMENT = {"PYTHONUNBUFFERED": "1", "LC_NUMERIC": "C"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,6 +58,7 @@ class Measured:
         window: the mission.
         sampled: from the start of the measurement to its stop.
         ending: how the meter ended.
+        other: records that are no rows.
     """
 
     rows: Sequence[Row]
@@ -62,6 +66,7 @@ class Measured:
     window: Window
     sampled: Window
     ending: Ending
+    other: Sequence[str] = ()
 
 
 class CommandProfiler(Profiler):
@@ -183,7 +188,7 @@ class CommandProfiler(Profiler):
             folder=folder,
             clock=self._clock,
             separator=self._separator,
-            environment=graph_variables(context.robot),  # by which a ROS program finds its graph
+            environment={**_ENVIRONMENT, **graph_variables(context.robot)},  # by which a ROS program finds its graph
         )
         has_begun = process.wait(lambda: self._has_row(process.records), seconds=self.startup_s)
         if not has_begun and not process.is_running:
@@ -241,7 +246,8 @@ class CommandProfiler(Profiler):
         details = {**clock_details(context), "command": self.command, "program": asdict(measured.ending)}
         quality = self._quality(measured.times, measured.window)
         report_quality(context, quality, measured.window, sampled=measured.sampled, fix=self._look, details=details)
-        publish_measures(context, self.measures, self._evaluated, origin=self.origin, clock=self._clock)
+        evaluate, times = self._evaluated, measured.times
+        publish_measures(context, self.measures, evaluate, origin=self.origin, clock=self._clock, times=times)
 
     def words(self, folder: Path) -> list[str]:
         """Return the command with the path of the output file in it."""
@@ -261,6 +267,12 @@ class CommandProfiler(Profiler):
             yield f"the program did not end on {self._stop_signal.name} and had to be killed"
         elif ending.exit_code not in asked:
             yield f"the program ended with exit code {ending.exit_code}{said}"
+        if self._time is None and measured.times and measured.times[0] > measured.sampled.end:
+            kept = f"the program kept its {len(measured.rows)} rows back until it ended"
+            yield f"{kept}: have it flush each (such as by `stdbuf -oL`), or name their times"
+        if not measured.rows and len(measured.other) > 1:
+            none = f"none of {len(measured.other)} lines of its output is a row, such as {measured.other[-1][:40]!r}"
+            yield f"{none} (cells as in the heading, decimal points)"
         there = dict.fromkeys(name for row in measured.rows for name in row)
         missing = [column.source for column in self.columns if column.source not in there]
         if measured.rows and missing:
@@ -326,18 +338,19 @@ class CommandProfiler(Profiler):
         parsed = list(self._parse([record.text for record in records]))
         if self._separator == "\n" and any(parsed[:-1]) and not records[-1].is_ended:
             parsed[-1] = None  # half a number would pass for one where the program died in the middle of a line
-        pairs = [(row, record) for row, record in zip(parsed, records, strict=True) if row is not None]
-        rows = [row for row, _ in pairs]
-        received = [record.received_at for _, record in pairs]
+        told = list(zip(parsed, records, strict=True))
+        rows = [row for row, _ in told if row is not None]
+        received = [record.received_at for row, record in told if row is not None]
+        other = [record.text for row, record in told if row is None and record.text.strip()]
         times = row_times(rows, received, self._time, utc_offset=self._utc_offset)
-        return Measured(rows, times, window, sampled, ending)
+        return Measured(rows, times, window, sampled, ending, other)
 
     def _write(self, folder: Path, measured: Measured) -> None:
         sources = dict.fromkeys(column.source for column in self.columns)
         by_source = {column.source: column for column in reversed(self.columns)}
         plain = [(source, by_source[source]) for source in sources]
         columns = [
-            Column(_heading(source), CommandColumn(source, one.measure).values(measured.rows)) for source, one in plain
+            Column(csv_cell(source), CommandColumn(source, one.measure).values(measured.rows)) for source, one in plain
         ]
         write_samples(folder / "samples.csv", [Column("time_s", measured.times), *columns])
 
@@ -384,8 +397,3 @@ class CommandProfiler(Profiler):
             problem = f"output is {self.output!r}, and the command has {'' if has_place else 'no '}{_PLACE}"
             fix = f"Name a file, as in output='rows.csv', and write {_PLACE} where the command tells its path."
             raise PluginError(problem, where=self.name, fix=fix)
-
-
-def _heading(source: str) -> str:
-    """Return the name of a column in a form that is valid in a file of samples."""
-    return '"' + source.replace('"', '""') + '"' if set(source) & set(',"\n') else source

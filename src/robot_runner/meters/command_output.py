@@ -23,6 +23,8 @@ Parse = Callable[[Sequence[str]], Sequence[Row | None]]
 
 #: Rows are of one moment if no more than this share of the mean time between rows is between them.
 _AT_ONCE = 0.1
+#: Stamps in whole units from this on, s, may be far from the time at which their rows were taken.
+_COARSE = 0.1
 #: How often a repeated row usually comes.
 _TWICE = 2
 
@@ -236,6 +238,11 @@ def parse_csv(records: Sequence[str], *, delimiter: str = ",", comment: str = "#
     return rows
 
 
+def csv_cell(text: str) -> str:
+    """Return a text in a form that is valid in a line of CSV."""
+    return '"' + text.replace('"', '""') + '"' if set(text) & set(',"\n') else text
+
+
 def _cells(record: str, delimiter: str) -> list[str]:
     try:
         return [cell.strip() for cell in next(csv.reader([record], delimiter=delimiter))]
@@ -248,7 +255,8 @@ def row_times(
 ) -> list[float]:
     """Return the time of each row, s on the run's clock, never decreasing.
 
-    Times by the program's own clock are converted to the run's clock by the row that came with the least delay.
+    Times by the program's own clock are converted to the run's clock by the row that came with the least delay. Stamps
+    of UTC in whole seconds are refined by the arrivals.
 
     Args:
         rows: the rows.
@@ -263,11 +271,23 @@ def row_times(
         return list(received)
     stamps = list(_stamps(rows, column))
     if column.kind is TimeKind.UTC:
-        times = [stamp + utc_offset for stamp in stamps]
+        unit = column.unit if all(stamp % column.unit == 0 for stamp in stamps) else 0.0
+        pairs = zip(stamps, received, strict=True)
+        times = [_refined(stamp + utc_offset, at, unit) for stamp, at in pairs]
     else:
         passed = list(accumulate(stamps)) if column.kind is TimeKind.SPAN else stamps
         times = list(map(fit_clock(passed, received).to_run, passed)) if passed else []
     return list(accumulate(times, max))
+
+
+def _refined(stamp: float, arrival: float, unit: float) -> float:
+    """Return when a row was taken: a stamp in whole units, such as seconds, tells less than the row's arrival.
+
+    A row that arrived too late, or with the stamp of another clock, was taken in the middle of the unit.
+    """
+    if unit < _COARSE:
+        return stamp
+    return arrival if stamp - unit < arrival < stamp + unit else stamp + unit / 2
 
 
 def _stamps(rows: Sequence[Row], column: TimeColumn) -> Iterator[float]:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.events.measure import Measure, Over
@@ -17,6 +19,7 @@ from robot_runner.meters.electrical_readings import (
     doubts_about_readings,
     falls_of,
     partly_told,
+    renewal_of,
     seldom_renewed,
     series_of,
     step_error,
@@ -31,6 +34,8 @@ if TYPE_CHECKING:
 #: The error at one edge of the window, by a counter's step and its rare updates, may be this share of its increase:
 #: with both edges, the energy is off by 1 % at most.
 _FINE = 0.005
+#: The same in a phase of a mission whose energy is from the counter: 5 % at most with both ends.
+_FINE_IN_PHASE = 0.025
 
 _MEASURES = (
     Measure(
@@ -142,6 +147,14 @@ class ElectricalProfiler(PolledProfiler[Readings]):
             of = f" of {channel}" if len(self.channels) > 1 else ""
             yield from (doubt.format(of=of) for doubt in self._channel_doubts(sampling, place))
 
+    def renewals(self, sampling: Sampling[Readings]) -> Sequence[float]:
+        """Return when the meter said something new of power, s."""
+        power = [math.fsum(channel.power or 0.0 for channel in readings) for readings in sampling.readings]
+        if not renewal_of(Series(sampling.times, power), sampling):
+            return sampling.times
+        steps = zip(sampling.times[1:], pairwise(power), strict=False)
+        return [time for time, (before, now) in steps if now != before]
+
     def details(self) -> Mapping[str, Any]:
         """Return the source of each channel's energy."""
         if self._measured is None:
@@ -152,10 +165,18 @@ class ElectricalProfiler(PolledProfiler[Readings]):
     def _energy(self, sampling: Sampling[Readings], place: int) -> tuple[float | None, str]:
         """Return the energy of one channel, J, and its source."""
         counted, integral = self._counted(sampling, place), self._integral(sampling, place)
-        is_fine = counted is not None and counted > 0 and self._blur(sampling, counted) <= _FINE * counted
+        most = self._most_blur(sampling, place)
+        is_fine = counted is not None and counted > 0 and self._blur(sampling, place, counted) <= most * counted
         if counted is not None and (integral is None or (is_fine and not falls_of(sampling, place))):
             return counted, "counter"
         return integral, "power" if integral is not None else ""
+
+    def _most_blur(self, sampling: Sampling[Readings], place: int) -> float:
+        """Return how far a counter may be off at an end, as a share; phases have the mission's source, to add up."""
+        mission = self._measured
+        if mission is None or sampling.window == mission.window:
+            return _FINE
+        return _FINE_IN_PHASE if self._energy(mission, place)[1] == "counter" else 0.0
 
     def _counted(self, sampling: Sampling[Readings], place: int) -> float | None:
         counter = told_series(sampling, place, "joules")
@@ -174,10 +195,11 @@ class ElectricalProfiler(PolledProfiler[Readings]):
         # If the readings suffice, a gap at an edge is bridged like one inside: by the reading beside it.
         return energy(told_series(sampling, place, "power"), sampling.window, reach=sampling.window.duration)
 
-    def _blur(self, sampling: Sampling[Readings], joules: float) -> float:
+    def _blur(self, sampling: Sampling[Readings], place: int, joules: float) -> float:
         """Return how far a counter may be behind at one edge of a window in which `joules` were used, J."""
         duration = sampling.window.duration
-        return self.counter_step + (abs(joules) / duration * self.counter_period if duration else 0.0)
+        period = max(self.counter_period, renewal_of(series_of(sampling.within(), place, "joules"), sampling))
+        return self.counter_step + (abs(joules) / duration * period if duration else 0.0)
 
     def _channel_doubts(self, sampling: Sampling[Readings], place: int) -> Iterator[str]:
         counted, integral = self._counted(sampling, place), self._integral(sampling, place)
@@ -187,10 +209,14 @@ class ElectricalProfiler(PolledProfiler[Readings]):
             power = series_of(sampling.within(), place, "power")
             late = self.averaged * (max(power.values, default=0.0) - min(power.values, default=0.0))
             missed = 0.0 if self.averaged else STEP_ERRORS * step_error(power, sampling.window)
-            blur = 2 * self._blur(sampling, integral) + late + missed
+            blur = 2 * self._blur(sampling, place, integral) + late + missed
             if abs(counted - integral) > max(self.disagreement * (abs(counted) + abs(integral)) / 2, blur):
                 yield f"the energy counter{{of}} rose by {counted:.4g} J, and its power amounts to {integral:.4g} J"
-        if counted is not None and integral is None and (blur := self._blur(sampling, counted)) > _FINE * counted:
+        if (
+            counted is not None
+            and integral is None
+            and (blur := self._blur(sampling, place, counted)) > _FINE * counted
+        ):
             yield f"the energy counter{{of}} rose by {counted:.4g} J, and may be behind by {blur:.3g} J at either end"
         if integral is not None and integral < 0:
             yield f"the energy{{of}} is {integral:.4g} J: the meter is the wrong way round, or the load feeds back"

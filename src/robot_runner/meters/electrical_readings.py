@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 _STUCK_READINGS, _STUCK_SHARE = 30, 0.2
 #: Power is updated rarely if an update takes this many readings, and this share of the window.
 _SELDOM_READINGS, _SELDOM_SHARE = 3, 0.05
+#: An update in more readings than that makes steps between samples wider than the time between two readings.
+_SELDOM = 1.5
 
 #: Changes of power between samples are reported if the energy may be off by more than this share.
 OFF_SHARE = 0.05
@@ -86,13 +88,20 @@ def step_error(power: Series, window: Window) -> float:
 
 def stepped(power: Series, sampling: Sampling[Any], joules: float | None) -> Iterator[str]:
     """Yield a doubt if power changed so much between samples that its integral may be off; `{of}`: the channel."""
-    off = step_error(power, sampling.window)
+    every = max(renewed_every(power) or 0.0, 1 / sampling.rate)
+    off = step_error(power if every * sampling.rate < _SELDOM else _changes(power), sampling.window)
     if joules is not None and off > OFF_SHARE * abs(joules):
-        apart = f"{1 / sampling.rate:.1f} s apart"
+        apart = f"{every:.1f} s apart"
         yield (
             f"the power{{of}} changed between samples that are {apart}: "
             f"the energy may be off by {off:.2g} J of {joules:.3g} J"
         )
+
+
+def _changes(series: Series) -> Series:
+    """Return the samples that differ from the one before."""
+    places = [place for place in range(len(series)) if not place or series.values[place] != series.values[place - 1]]
+    return Series([series.times[place] for place in places], [series.values[place] for place in places])
 
 
 def _quantity(reading: ElectricalReading, quantity: str) -> float | None:
@@ -158,10 +167,15 @@ def backward_steps(sampling: Sampling[Readings], place: int) -> list[bool]:
     return [min(before, now) < 0 for (sooner, before), (later, now) in pairwise(told) if later < sooner]
 
 
+def renewal_of(series: Series, sampling: Sampling[Any]) -> float:
+    """Return the time between updates of a meter's quantity, s; 0 where it is updated about as often as it is read."""
+    every = renewed_every(series) or 0.0
+    return every if every * sampling.rate >= _SELDOM_READINGS else 0.0
+
+
 def seldom_renewed(power: Series, sampling: Sampling[Any]) -> Iterator[str]:
     """Yield a doubt if a meter updates its power in the window less often than it is read; `{of}` as above."""
-    every = renewed_every(power) or 0.0
-    if every * sampling.rate >= _SELDOM_READINGS and every > _SELDOM_SHARE * sampling.window.duration:
+    if (every := renewal_of(power, sampling)) > _SELDOM_SHARE * sampling.window.duration:
         yield f"the meter renews its power{{of}} every {every:.1f} s only: the energy lacks what changed in between"
 
 

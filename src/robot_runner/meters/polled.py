@@ -109,6 +109,10 @@ class PolledProfiler(Profiler, Generic[R]):
         del sampling
         return ()
 
+    def renewals(self, sampling: Sampling[R]) -> Sequence[float]:
+        """Return when values were new, s: at each reading, unless a meter is read more often than it renews them."""
+        return sampling.times
+
     def details(self) -> Mapping[str, Any]:
         """Return plain facts about the meter, for `quality.json`."""
         return {}
@@ -168,7 +172,8 @@ class PolledProfiler(Profiler, Generic[R]):
             report_quality(context, measured.quality(), window, sampled=sampling.window, details=details)
             for problem in self.doubts(measured):
                 context.doubt(problem)
-        publish_measures(context, self.measures, self._evaluated, origin=self.origin, clock=clock)
+        times = () if sampling is None else self.renewals(sampling)
+        publish_measures(context, self.measures, self._evaluated, origin=self.origin, clock=clock, times=times)
 
     def _evaluated(self, window: Window) -> Mapping[str, float | None]:
         sampling = self._sampling.over(window) if self._sampling is not None else None

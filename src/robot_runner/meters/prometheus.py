@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-import importlib.util
 import math
-import re
-import statistics
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from importlib import import_module
 from itertools import pairwise
 from pathlib import Path
@@ -15,47 +11,25 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 from robot_runner.core.errors import Finding, LinkError, PluginError, did_you_mean
 from robot_runner.core.events.context import RobotRunnerContext
-from robot_runner.core.events.measure import Measure, Over
+from robot_runner.core.events.measure import Measure
 from robot_runner.measuring.quality import Column
-from robot_runner.measuring.series import Series, cut, growth, mean, renewed_every
+from robot_runner.measuring.series import Series, cut, growth, integrate, mean, renewed_every
 from robot_runner.meters.counters import fall_count, unwrapped
+from robot_runner.meters.electrical_readings import OFF_SHARE, step_error
 from robot_runner.meters.http_requests import HttpDevice, Secret, check_url
 from robot_runner.meters.parameter_checks import check_list, check_positive
 from robot_runner.meters.polled import Meter, PolledProfiler, known_series
+from robot_runner.meters.scraped_metric import BUCKETS, ScrapedMetric
 
 if TYPE_CHECKING:
     from robot_runner.core.plugin import Circumstances
     from robot_runner.measuring.periodic import Sampling
 
 _INSTALL = "Install it: pip install 'robot-runner[prometheus]'."
-_SELECTOR = re.compile(r"([a-zA-Z_:][a-zA-Z0-9_:]*)(?:\{(.*)\})?")
-_LABEL = re.compile(r"""\s*([a-zA-Z_][a-zA-Z0-9_]*)\s*=\s*("[^"]*"|'[^']*')\s*(?:,|$)""")
-#: Endings of names that only counters have, and base units by the ending of a name. Source: Prometheus' documentation,
-#: Metric and label naming.
-_BUCKETS = "_bucket"
-_COUNTER_ENDINGS = ("_total", "_sum", "_count", _BUCKETS)
-_UNITS = {
-    "seconds": "s",
-    "bytes": "B",
-    "joules": "J",
-    "watts": "W",
-    "volts": "V",
-    "amperes": "A",
-    "celsius": "°C",
-    "hertz": "Hz",
-    "meters": "m",
-    "grams": "g",
-    "percent": "%",
-}
-_COMBINATIONS: Mapping[str, Callable[[Sequence[float]], float]] = {
-    "sum": math.fsum,
-    "mean": statistics.fmean,
-    "max": max,
-    "min": min,
-}
 #: A series is updated rarely if an update takes this many scrapes, and this share of the window: at each edge a counter
 #: may be behind by as much, and a gauge does not show changes in between.
 _SELDOM_SCRAPES, _SELDOM_COUNTED, _SELDOM_GAUGED = 3, 0.05, 0.2
+_RESTLESS = ("W", "J")  # units of what differs at each renewal, unless it is told in whole watts
 _TEXT_FORMAT = "text/plain;version=0.0.4"
 
 #: The labels of one series, sorted.
@@ -67,77 +41,6 @@ Scrape = tuple["Mapping[Labels, _Shown]", ...]
 class _Shown(NamedTuple):
     value: float
     stamp: float | None  # of the value, by the exporter's clock; None without one
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ScrapedMetric:
-    """A metric of an exporter, and the measure that it yields.
-
-    Attributes:
-        selector: its name on the exporter's page, and labels that series must have: `node_load1` or
-            `node_cpu_seconds_total{mode="user"}`.
-        measure: that it yields; None names it after the selector, with the unit at the name's end.
-        is_counter: whether its increase is measured, not its mean; None decides by the name's ending (`_total`, `_sum`,
-            ...).
-        combine: how several series are combined: `sum`, `mean`, `max` or `min`; counters are summed.
-
-    Raises:
-        PluginError: the selector is malformed, or there is no such combination.
-
-    Example:
-        >>> metric = ScrapedMetric(selector='node_cpu_seconds_total{mode="user"}')
-        >>> metric.yields.name, metric.yields.unit, metric.counts
-        ('NodeCpuSeconds_user', 's', True)
-    """
-
-    selector: str
-    measure: Measure | None = None
-    is_counter: bool | None = None
-    combine: str | None = None
-
-    def __post_init__(self) -> None:
-        _ = self.labels
-        if self.combine is not None and self.combine not in _COMBINATIONS:
-            fix = did_you_mean(self.combine, _COMBINATIONS)
-            raise PluginError(f"combine is {self.combine!r}", where=self.selector, fix=fix)
-
-    @property
-    def name(self) -> str:
-        """The metric's name, without labels."""
-        return self.selector.partition("{")[0].strip()
-
-    @property
-    def labels(self) -> Mapping[str, str]:
-        """The labels that its series must have."""
-        match = _SELECTOR.fullmatch(self.selector.strip())
-        inner = (match[2] or "").strip() if match else ""
-        labels = {label[1]: label[2][1:-1] for label in _LABEL.finditer(inner)}
-        if match is None or _LABEL.sub("", inner):
-            fix = """Write it as on the exporter's page: 'node_cpu_seconds_total{mode="user"}'."""
-            raise PluginError(f"{self.selector!r} selects no metric", where="metrics", fix=fix)
-        return labels
-
-    @property
-    def counts(self) -> bool:
-        """Whether it is a counter."""
-        return self.name.endswith(_COUNTER_ENDINGS) if self.is_counter is None else self.is_counter
-
-    @property
-    def yields(self) -> Measure:
-        """The measure."""
-        if self.measure is not None:
-            return self.measure
-        stem = self.name.removesuffix("_total")
-        camel = "".join(part[:1].upper() + part[1:] for part in re.split("[_:]+", stem))
-        suffix = "".join("_" + re.sub(r"\W+", "_", value).strip("_") for value in self.labels.values())
-        told = stem.removesuffix("_sum")  # a histogram's or summary's sum has the unit of what it adds up
-        unit = next((unit for ending, unit in _UNITS.items() if told.endswith(f"_{ending}")), "1")
-        what, over = ("increase", Over.SUM) if self.counts else ("mean", Over.MEAN)
-        return Measure(camel + suffix, unit, f"{self.selector}, {what} over the measured window.", over=over)
-
-    def combined(self, values: Sequence[float]) -> float:
-        """Return the value of several series at one moment."""
-        return _COMBINATIONS[self.combine or "sum"](values)
 
 
 class _Exporter(Meter[Scrape]):
@@ -265,8 +168,6 @@ class Prometheus(PolledProfiler[Scrape]):
         """Return errors: no library, no exporter, or a metric that it does not have."""
         del circumstances
         where = f"plugin {self.name}"
-        if importlib.util.find_spec("prometheus_client") is None:
-            return [Finding.error(where, "prometheus-client is not installed", _INSTALL)]
         try:
             families = _Exporter(self).families()
         except (LinkError, PluginError) as error:
@@ -307,14 +208,15 @@ class Prometheus(PolledProfiler[Scrape]):
         }
 
     def doubts(self, sampling: Sampling[Scrape]) -> Iterator[str]:
-        """Yield doubts if a counter was reset, or a series was rarely updated or missing for a time."""
+        """Yield doubts if a counter was reset, power changed much, or a series was rarely updated or partly missing."""
+        yield from self._steps(sampling)
         sampling = sampling.within()
         for place, metric in enumerate(self.metrics):
             labels = _all_labels(sampling, place)
             series = [_series(sampling, place, each) for each in labels]
             if metric.counts and any(fall_count(each.values) for each in series):
                 yield f"{metric.selector} was set back, as by a restart: what it counted shortly before that is lost"
-            renewals = [every for each in labels if (every := _renewed_every(sampling, place, each))]
+            renewals = [every for each in labels if (every := _renewed_every(sampling, place, each, metric))]
             share = max(renewals, default=0.0) / (sampling.window.duration or 1.0)
             is_seldom = share > (_SELDOM_COUNTED if metric.counts else _SELDOM_GAUGED)
             if is_seldom and max(renewals) >= _SELDOM_SCRAPES / sampling.rate:
@@ -325,6 +227,16 @@ class Prometheus(PolledProfiler[Scrape]):
                 yield f"{partial} of {len(labels)} series of {metric.selector} were there for a part of the time only"
             if silent := sum(not len(each) for each in series):
                 yield f"{silent} of {len(labels)} series of {metric.selector} showed no number, but NaN or infinity"
+
+    def _steps(self, sampling: Sampling[Scrape]) -> Iterator[str]:
+        """Yield a doubt about the mean of a power that changed so much between scrapes that it may be off."""
+        for place, metric in enumerate(self.metrics):
+            if metric.yields.unit == "W" and not metric.counts:
+                power = self._gauge(sampling, place)
+                whole = abs(integrate(cut(power, sampling.window)) or math.inf)
+                if (share := step_error(power, sampling.window) / whole) > OFF_SHARE:
+                    apart = f"between scrapes that are {1 / sampling.rate:.1f} s apart"
+                    yield f"{metric.selector} changed {apart}: its mean may be off by {100 * share:.0f} %"
 
     def details(self) -> Mapping[str, Any]:
         """Return the scraped metrics, and the labels of their series."""
@@ -344,9 +256,11 @@ class Prometheus(PolledProfiler[Scrape]):
         return self.metrics[place].combined(known) if known else None
 
     def _mean(self, sampling: Sampling[Scrape], place: int) -> float | None:
+        return mean(cut(self._gauge(sampling, place), sampling.window, reach=5 / self.rate_hz))
+
+    def _gauge(self, sampling: Sampling[Scrape], place: int) -> Series:
         metric = self.metrics[place]
-        series = known_series(sampling, lambda scrape: metric.combined(_numbers(scrape[place])))
-        return mean(cut(series, sampling.window, reach=5 / self.rate_hz))
+        return known_series(sampling, lambda scrape: metric.combined(_numbers(scrape[place])))
 
 
 def _all_labels(sampling: Sampling[Scrape], place: int) -> list[Labels]:
@@ -357,7 +271,7 @@ def _series(sampling: Sampling[Scrape], place: int, labels: Labels) -> Series:
     return known_series(sampling, lambda scrape: _number(scrape, place, labels))
 
 
-def _renewed_every(sampling: Sampling[Scrape], place: int, labels: Labels) -> float | None:
+def _renewed_every(sampling: Sampling[Scrape], place: int, labels: Labels, metric: ScrapedMetric) -> float | None:
     """Return the time between updates of a series, s, if these are rare; None for a counter of single events.
 
     Exporters such as DCGM's show values that were collected up to 30 s before by default; cAdvisor's adds their time.
@@ -367,7 +281,8 @@ def _renewed_every(sampling: Sampling[Scrape], place: int, labels: Labels) -> fl
         return max((later - sooner for sooner, later in pairwise(stamps)), default=sampling.window.duration)
     series = _series(sampling, place, labels)
     steps = {later - sooner for sooner, later in pairwise(series.values) if later != sooner}
-    return None if steps == {1} else renewed_every(series)
+    is_restless = metric.yields.unit in _RESTLESS and (metric.counts or any(value % 1 for value in series.values))
+    return None if steps == {1} else renewed_every(series, is_restless=is_restless)
 
 
 def _metric_findings(where: str, metric: ScrapedMetric, families: Sequence[Any]) -> Iterator[Finding]:
@@ -380,7 +295,7 @@ def _metric_findings(where: str, metric: ScrapedMetric, families: Sequence[Any])
         return
     labels = [sample.labels for sample in samples if sample.name == metric.name]
     chosen = _chosen(metric, samples)
-    buckets = {dict(each).get("le") for each in chosen} if metric.name.endswith(_BUCKETS) else set()
+    buckets = {dict(each).get("le") for each in chosen} if metric.name.endswith(BUCKETS) else set()
     listed = ", ".join("{" + ",".join(f'{key}="{value}"' for key, value in each.items()) + "}" for each in labels[:8])
     if not chosen:
         yield Finding.error(where, f"no series of {metric.name} fits {metric.selector}", f"There are: {listed}.")
@@ -388,7 +303,7 @@ def _metric_findings(where: str, metric: ScrapedMetric, families: Sequence[Any])
         fix = "Have the exporter see some of it first, or leave the metric out."
         yield Finding.error(where, f"{metric.selector} shows no number now, but {min(chosen.values()).value}", fix)
     elif len(buckets) > 1:
-        fix = f"Choose one by its label `le`, or take {metric.name.removesuffix(_BUCKETS)}_count. There are: {listed}."
+        fix = f"Choose one by its label `le`, or take {metric.name.removesuffix(BUCKETS)}_count. There are: {listed}."
         problem = f"{metric.selector} has {len(buckets)} buckets, each of which counts the smaller ones as well"
         yield Finding.error(where, problem, fix)
     elif len(chosen) > 1 and not metric.counts and metric.combine is None:

@@ -214,7 +214,8 @@ class PsUtil(Profiler):
                 context.doubt(problem, fix=_REMEDY)
         origin = Origin.SIMULATED if sampled is not None and sampled.is_simulated else Origin.MEASURED
         evaluate = partial(means_over, sampled)
-        publish_measures(context, self.measures, evaluate, origin=origin, clock=self._clock)
+        times = () if sampled is None else sampled.times
+        publish_measures(context, self.measures, evaluate, origin=origin, clock=self._clock, times=times)
 
     def _forget(self) -> None:
         self._sampler = self._clock = self._sampled = self._utilisation = None

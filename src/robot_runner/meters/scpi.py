@@ -26,6 +26,8 @@ _NUMBER = re.compile(
     r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:E[-+]?\d+)?)(?:\s*([munk])(?:[WVA](?:[AD]C)?|volts?|amps?|watts?)\b)?",
     re.IGNORECASE,
 )
+#: Two whole numbers with a comma between them may be one number.
+_COMMA = re.compile(r"\s*[-+]?\d+,\d+\s*[a-zA-Z]*\s*")
 _PREFIXES = {"m": 1e-3, "u": 1e-6, "n": 1e-9, "k": 1e3}
 #: The values for overload and for no number. Source: SCPI-99, volume 1, section 7.2.1.4: 9.9E37 and 9.91E37.
 _NO_NUMBER = 9.9e37
@@ -75,6 +77,9 @@ def parse_number(answer: str) -> float:
         ValueError: there is none, or it means an overload or no number.
     """
     match = _NUMBER.match(answer)
+    if _COMMA.fullmatch(answer):
+        problem = f"the instrument answered {answer.strip()[:_SHOWN]!r}, with a comma"
+        raise ValueError(f"{problem}: a decimal comma, or a second number that the query has to leave out")
     if match is None:
         raise ValueError(f"the instrument answered {answer.strip()[:_SHOWN]!r}, which is not a number")
     number = float(match[1])

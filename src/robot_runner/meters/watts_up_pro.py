@@ -227,7 +227,8 @@ class WattsUpPro(Profiler):
                 context.doubt(problem.format(of=""), fix=_FIX)
         is_simulated = recording is not None and recording.line.is_simulated
         origin = Origin.SIMULATED if is_simulated else Origin.MEASURED
-        publish_measures(context, self.measures, self._evaluated, origin=origin)
+        times = () if recording is None else recording.series("watts").times
+        publish_measures(context, self.measures, self._evaluated, origin=origin, times=times)
 
     def _evaluated(self, window: Window) -> Mapping[str, float | None]:
         if self._recording is None or not self._recording.quality(window).is_sufficient:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
 _TOPIC, _REQUEST, _REPLY = "rt", "rq", "rr"
 _REQUEST_END, _REPLY_END = "Request", "Reply"
 _TYPE_PARTS = 4
+_TYPE_HASH = re.compile(r"typehash=RIHS01_[0-9a-f]{64};")
 
 #: The user data of our links' participants: like that of ROS 2, and with the program's name.
 LINK_QOS = DdsQos(Policy.Userdata(b"enclave=/;program=robotrunner;"))
@@ -121,6 +123,12 @@ class Endpoint:
         return cls(
             sample.key, sample.participant_key, sample.topic_name, sample.type_name, qos, data.decode(errors="replace")
         )
+
+    @property
+    def type_hash(self) -> str:
+        """The hash of the version of its type; empty where it tells none, as before Iron."""
+        found = _TYPE_HASH.search(self.user_data)
+        return found[0] if found else ""
 
 
 class Graph:

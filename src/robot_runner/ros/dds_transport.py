@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Any
 from cyclonedds.core import DDSException
 
 from robot_runner.core.errors import LinkError
-from robot_runner.core.links.robot import Encoding, GraphEndpoint, Message, Qos
+from robot_runner.core.links.robot import Encoding, GraphEndpoint, Message, Qos, RawMessage
+from robot_runner.ros.action_types import is_action_part
 from robot_runner.ros.dds_foreign_services import ForeignServices
 from robot_runner.ros.dds_graph import Endpoint, matched_subscriptions, ros_type, wire_topic
 from robot_runner.ros.dds_qos import adapted_profile, policies_of, reader_profile, writer_profile
@@ -73,7 +74,8 @@ class DdsTransport:
         decode = partial(self.types.deserialise, message_type, encoding=Encoding.CDR)
 
         def take(data: bytes) -> None:
-            receive(ReceivedBytes(data, self._now_ns(), decode))
+            misfit = subscription.misfit
+            receive(_Misread(misfit) if misfit else ReceivedBytes(data, self._now_ns(), decode))
 
         subscription = _Subscription(self._session, topic, message_type, take, qos)
         # Under one lock: a publisher that is discovered meanwhile is adapted to either here or in `_adapt`.
@@ -160,13 +162,14 @@ class _Publisher:
         self._message_type = message_type
         self._wire_type = topic_wire_type(session.types.shape(message_type))
         self._wire = wire_topic(topic)
-        _check_types(session, topic, self._wire_type)
-        self._offered = writer_profile(qos, session.type_hash(message_type))
+        self._user_data = session.type_hash(message_type)
+        _check_types(session, topic, self._wire_type, self._user_data)
+        self._offered = writer_profile(qos, self._user_data)
         self._writer = session.writer(self._wire, self._wire_type, self._offered)
         # A message that is published before its readers are discovered does not reach them.
         session.settle(lambda: bool(matched_subscriptions(self._writer)))
         try:
-            _check_types(session, topic, self._wire_type)
+            _check_types(session, topic, self._wire_type, self._user_data)
             self._check_demands(qos)
         except LinkError:
             self.close()
@@ -242,13 +245,14 @@ class _Subscription:
         self._qos = qos
         self._lock = threading.Lock()
         self._is_closed = False
+        self.misfit: LinkError | None = None
         # The stamp of the last sample of each publisher, and the one after which a reader that takes over begins.
         self._last: dict[int, int] = {}
         self._before: dict[int, int] = {}
         self._user_data = session.type_hash(message_type)
         self._wire_type = topic_wire_type(session.types.shape(message_type))
         session.settle(lambda: bool(session.graph.writers(self._wire_topic)))
-        _check_types(session, topic, self._wire_type)
+        _check_types(session, topic, self._wire_type, self._user_data)
         self._asked = self._policies()
         self._check_offers()
 
@@ -263,7 +267,7 @@ class _Subscription:
 
     def explain(self) -> str:
         """Return the fix where no message arrived; raise a `LinkError` where a later publisher does not fit the QoS."""
-        _check_types(self._session, self._topic, self._wire_type)
+        _check_types(self._session, self._topic, self._wire_type, self._user_data)
         self._check_offers()
         if self._session.is_alone():
             return self._session.loneliness()
@@ -273,6 +277,8 @@ class _Subscription:
 
     def adapt(self, writer: Endpoint) -> None:
         """Request what the topic's publishers offer, now that there is another."""
+        if writer.topic == self._wire_topic:
+            self.misfit = self.misfit or _other_version(self._topic, self._wire_type, writer, self._user_data)
         if self._qos is None and writer.topic == self._wire_topic:
             # Not while its callback waits: messages that have arrived would be lost, or handled out of order.
             self._session.reception.when_idle(self._source, self._adapt)
@@ -331,10 +337,42 @@ class _Subscription:
         self._take(sample.data)
 
 
-def _check_types(session: Session, topic: str, wire_type: WireType) -> None:
-    """Refuse a topic whose other publishers or subscribers have another type, as DDS silently does not match them."""
+def _check_types(session: Session, topic: str, wire_type: WireType, user_data: str) -> None:
+    """Refuse a topic whose other publishers or subscribers have another type, or another version of it.
+
+    DDS silently does not match the former. Values of the latter would be taken for others, of the same bytes.
+    """
     wire = wire_topic(topic)
     endpoints = (*session.graph.writers(wire), *session.graph.readers(wire))
-    check_type(
-        topic, ros_type(wire_type.__idl_typename__.replace(".", "::")), [ros_type(each.type_name) for each in endpoints]
-    )
+    check_type(topic, _type_of(wire_type), [ros_type(each.type_name) for each in endpoints])
+    for each in endpoints:
+        if misfit := _other_version(topic, wire_type, each, user_data):
+            raise misfit
+
+
+def _type_of(wire_type: WireType) -> str:
+    return ros_type(wire_type.__idl_typename__.replace(".", "::"))
+
+
+def _other_version(topic: str, wire_type: WireType, endpoint: Endpoint, user_data: str) -> LinkError | None:
+    """Return the error that a publisher or subscriber has another version of our type, where both tell theirs."""
+    name, told = _type_of(wire_type), endpoint.type_hash
+    is_ours = ros_type(endpoint.type_name) != name or told in {"", user_data}
+    if is_ours or not user_data or is_action_part(name):
+        return None
+    problem = f"it carries another version of {name} than the one that is known here"
+    fix = "Give the robot's own definition, or its distribution: robot = 'dds:types=path/to/its/package,distro=...'."
+    return LinkError(problem, where=topic, fix=fix)
+
+
+class _Misread:
+    """A message of a topic on which values would be taken for others."""
+
+    def __init__(self, misfit: LinkError) -> None:
+        self._misfit = misfit
+
+    def message(self) -> Message:
+        raise self._misfit
+
+    def raw(self) -> RawMessage:
+        raise self._misfit

@@ -68,6 +68,8 @@ class GraphLink:
         namespace: the prefix of relative names: empty, or `/alice`.
         graph: how the graph is reached (`dds:domain=7`); empty if not known; None where the robot is in this process.
         parameter_server: that of ROS 1's master; None in ROS 2, where each node holds its parameters.
+        answers: whether a node that the graph lists is there; see `core.links.robot.AsksNodes`.
+        is_simulated: whether the robot is known to be; `connect.is_simulation` looks for signs of that on the graph.
 
     Raises:
         LinkError: the namespace is not valid, or the graph cannot be joined.
@@ -83,7 +85,7 @@ class GraphLink:
     def __init__(self, connect: Callable[[], Transport], namespace: str = "", *, is_simulated: bool = False) -> None:
         self.namespace = namespace_prefix(namespace)  # refused before anything is opened
         self.graph: str | None = None if is_simulated else ""
-        self._is_simulated = is_simulated
+        self.is_simulated = is_simulated
         self._lock = threading.RLock()  # held while a topic is advertised, which may take seconds
         self._books = threading.Lock()  # held for a moment, over what is open and whether the link is
         self._advertised: dict[tuple[str, Qos], Advertised] = {}
@@ -95,11 +97,7 @@ class GraphLink:
         self._transport = transport = connect()
         self._goals = LinkGoals(transport.actions, transport.wait, self._check_open, has_threads=transport.has_threads)
         self.parameter_server: ParameterServer | None = getattr(transport, "parameter_server", None)
-
-    @property
-    def is_simulated(self) -> bool:
-        """Whether the robot is known to be simulated; `connect.is_simulation` looks for signs of that on the graph."""
-        return self._is_simulated
+        self.answers: Callable[[str], bool] = getattr(transport, "answers", lambda _node: True)
 
     @property
     def encoding(self) -> Encoding:

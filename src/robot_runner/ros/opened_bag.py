@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import PluginError
 from robot_runner.core.links.robot import Encoding
+from robot_runner.ros.type_store import type_hash
 
 if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore
@@ -117,16 +118,17 @@ class OpenedBag:
                 digests[each.msgtype].update({each.digest} - {"", "*"})
         store.register(types)
         for message_type, told in digests.items():
-            if told and told != {self._digest(store, message_type)}:
+            if told and not told <= self._digests(store, message_type):
                 self.faults[message_type] = "is another one than that by which its messages were written"
         return store
 
-    def _digest(self, store: Typestore, message_type: str) -> str | None:
+    def _digests(self, store: Typestore, message_type: str) -> set[str]:
         try:
-            is_cdr = self.encoding is Encoding.CDR
-            return store.hash_rihs01(message_type) if is_cdr else store.generate_msgdef(message_type)[1]
+            if self.encoding is Encoding.CDR:  # rosidl's, and that of rosbags, which may have written the bag
+                return {type_hash(store, message_type), store.hash_rihs01(message_type)}
+            return {store.generate_msgdef(message_type)[1]}
         except Exception:  # noqa: BLE001  # a part of the type is not defined
-            return None
+            return set()
 
 
 def _parsed(message_type: str, text: str, kind: Any) -> Mapping[str, Any]:

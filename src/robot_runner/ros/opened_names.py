@@ -11,11 +11,11 @@ from itertools import chain
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import LinkError
-from robot_runner.core.links.commanded_topics import VELOCITIES, tell_commanded
+from robot_runner.core.links.commanded_topics import TWISTS, VELOCITIES, tell_commanded
 from robot_runner.ros.link_faults import as_link_error, do_all
 from robot_runner.ros.sent_commands import is_watched, note_sent
 from robot_runner.ros.shapes import Shape, completed
-from robot_runner.ros.watchdog import planar, velocity_of
+from robot_runner.ros.watchdog import velocity_of
 
 if TYPE_CHECKING:
     from robot_runner.core.links.robot import Message, Qos
@@ -65,8 +65,8 @@ class Advertised:
 
     def send(self, topic: str, message: Message) -> None:
         """Publish a complete message, and record a command, to distinguish it from those of other nodes."""
-        if self.drives:
-            note_sent(topic, planar(velocity_of(self.message_type, message)))
+        if self.message_type in TWISTS:
+            note_sent(topic, velocity_of(self.message_type, message))
         elif is_watched(topic):
             note_sent(topic, message)
         self.publisher.publish(message)

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from robot_runner.core.errors import Finding, PluginError, did_you_mean
 from robot_runner.core.events.context import RobotRunnerContext
 from robot_runner.core.events.measure import Measure, Origin
-from robot_runner.core.links.commanded_topics import VELOCITIES
+from robot_runner.core.links.commanded_topics import TWISTS, VELOCITIES
 from robot_runner.core.links.connect import connect_robot, join_beforehand
 from robot_runner.core.links.robot import Encoding, RobotLink
 from robot_runner.core.links.robot_name import RobotName
@@ -300,7 +300,7 @@ class PlayBag(RobotSystem):
 
 
 def _command_zero(topic: RecordedTopic, context: RobotRunnerContext) -> None:
-    still = velocity_command(topic.message_type, 0.0, 0.0)
+    still = velocity_command(topic.message_type, 0.0, 0.0) if topic.message_type in TWISTS else {}
     connect_robot(context).publish(topic.name, topic.message_type, still, qos=topic.qos)
 
 

@@ -127,6 +127,10 @@ class Ros1Transport:
         """Return the names of the nodes that publish, subscribe or offer something."""
         return self._master.state().nodes
 
+    def answers(self, node: str) -> bool:
+        """Whether a node is there: a killed one stays registered; one whose machine is silent may be."""
+        return self._is_there(node, is_alone=False, may_be_silent=True)
+
     def publishers(self, topic: str) -> Iterable[GraphEndpoint]:
         """Return the publishers of a topic, with the type known to the master; QoS only of those connected to us."""
         offered = offers_to_us(topic)

@@ -17,6 +17,7 @@ from rclpy.serialization import deserialize_message
 from robot_runner.core.errors import LinkError
 from robot_runner.core.links.graph_names import missing
 from robot_runner.core.links.robot import Encoding, GraphEndpoint, Message, Qos
+from robot_runner.ros.action_types import is_action_part
 from robot_runner.ros.graph_transport import (
     LONGEST_DISCOVERY,
     ReceivedBytes,
@@ -47,6 +48,8 @@ _logger = logging.getLogger(__name__)
 _FINDING = 4.0
 #: How long to wait for a message to be sent where the middleware does not tell whether it was, s.
 _UNTOLD = 0.2
+#: How long a publisher or subscription of this process may take to be listed, s, and the hash of an unknown version.
+_FINDING_OWN, _UNKNOWN = 1.0, "INVALID"
 #: How long a publisher waits for the subscribers that are known, s.
 _MATCHING = 1.0
 #: How long it waits for their acknowledgements, s: Fast DDS requests these every 3 s.
@@ -151,6 +154,11 @@ class _Publisher:
         _check_types(topic, message_type, [*graph.publishers(topic), *graph.subscriptions(topic)])
         self._offered = offered_by(qos)
         self._publisher = node.node.create_publisher(self._cls, topic, _as_profile(self._offered))
+        try:
+            _check_version(node, graph, topic, message_type)
+        except LinkError:
+            self.close()
+            raise
         self.reach()
 
     def publish(self, message: Message) -> None:
@@ -223,6 +231,11 @@ class _Subscription:
         self._is_adapting = qos is None
         with self._lock:  # an incompatible publisher may be reported while it is made, and replaces it
             self._subscription = self._created(self._asked)
+        try:
+            _check_version(node, graph, topic, message_type)
+        except LinkError:
+            self.close()
+            raise
 
     def explain(self) -> str:
         if self._mismatch:
@@ -306,6 +319,32 @@ class _Client:
 def _check_types(topic: str, wanted: str, endpoints: Sequence[Any]) -> None:
     for each in endpoints:
         check_type(topic, wanted, [each.topic_type], owner=_owner(each))
+
+
+def _check_version(node: GraphNode, graph: Graph, topic: str, message_type: str) -> None:
+    """Refuse a topic of which this node has an endpoint, and another one has another version of the type.
+
+    ROS 2 connects them, and values would be taken for others of the same bytes. Before Iron, nothing tells versions.
+    """
+
+    def told(*, own: bool) -> dict[str, str]:
+        endpoints = [*graph.publishers(topic), *graph.subscriptions(topic)]
+        hashes = {
+            str(getattr(each, "topic_type_hash", _UNKNOWN)): _owner(each)
+            for each in endpoints
+            if (_owner(each) == node.own_name) is own
+        }
+        return {digest: owner for digest, owner in hashes.items() if digest != _UNKNOWN}
+
+    others = told(own=False)
+    if not others or is_action_part(message_type):
+        return
+    node.until(lambda: told(own=True), _FINDING_OWN)
+    ours = told(own=True)
+    for owner in (owner for digest, owner in others.items() if ours and digest not in ours):
+        problem = f"{owner} has another version of {message_type} than the one that is known here"
+        fix = "Build the package of that type on both computers from the same source, and source that workspace."
+        raise LinkError(problem, where=topic, fix=fix)
 
 
 def _owner(endpoint: Any) -> str:

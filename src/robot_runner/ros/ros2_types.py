@@ -89,6 +89,8 @@ def _field(name: str, written: Any, example: Any) -> Field:
     kind = _kind(written if element is None else element)
     limit = getattr(written if element is None else element, "maximum_size", None)
     default = None if isinstance(kind, Shape) else _taken(Field(name, kind, _count(written)), example)
+    if isinstance(default, list):
+        default = tuple(default)  # shapes are keys
     return Field(name, kind, _count(written), default or None, limit)
 
 

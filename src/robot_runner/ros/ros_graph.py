@@ -15,6 +15,7 @@ from robot_runner.core.events.window import Window
 from robot_runner.core.links.connect import connect_robot, is_simulated, is_simulation, robot_namespace
 from robot_runner.core.links.declared_host import LOCAL
 from robot_runner.core.links.graph_names import full_name
+from robot_runner.core.links.robot import AsksNodes
 from robot_runner.core.links.robot_name import RobotName
 from robot_runner.core.plugin import Circumstances, Profiler
 from robot_runner.measuring.devices import connect_host
@@ -149,7 +150,7 @@ class RosGraph(Profiler):
                 fix = "Name the computer that the nodes run on in `host`."
                 raise LinkError("this computer does not tell of single processes", where=self.name, fix=fix)
             self._begun_at = machine_clock(context).now()
-            self._sampler = computer.sample_processes(self.rate_hz, self._processes(context))
+            self._sampler = computer.sample_processes(self.rate_hz, self._processes(context, graph["nodes"]))
             if isinstance(self._sampler, PromptSampler):
                 context.times.at_edges(self._sampler.take_now)
         self._graphs["start"] = graph
@@ -186,7 +187,8 @@ class RosGraph(Profiler):
         context.publish("Topics", shown, origin=origin)
         clock = machine_clock(context)
         self._doubt_processes(context, context.times.window(clock))
-        publish_measures(context, self.selection.measures(), partial(means_over, self._utilisation), clock=clock)
+        evaluate, times = partial(means_over, self._utilisation), self._utilisation.times if self._utilisation else ()
+        publish_measures(context, self.selection.measures(), evaluate, clock=clock, times=times)
 
     def _doubt_processes(self, context: RobotRunnerContext, mission: Window | None) -> None:
         if self._utilisation is None or mission is None:
@@ -198,13 +200,14 @@ class RosGraph(Profiler):
 
     def _look(self, context: RobotRunnerContext) -> dict[str, Any]:
         link = connect_robot(context, namespace=self.namespace)
-        return {"nodes": list(link.nodes()), "topics": dict(link.topics()), "services": dict(link.services())}
+        nodes = [each for each in link.nodes() if not isinstance(link, AsksNodes) or link.answers(each)]
+        return {"nodes": nodes, "topics": dict(link.topics()), "services": dict(link.services())}
 
     def _computer(self, context: RobotRunnerContext) -> HostLink:
         return connect_host(context, self.host, ssh_config=self.ssh_config)
 
-    def _processes(self, context: RobotRunnerContext) -> list[str]:
-        """Return the selector of each node's process; on ROS 1 by the process id that the node reports."""
+    def _processes(self, context: RobotRunnerContext, present: Sequence[str]) -> list[str]:
+        """Return the selector of each node's process; on ROS 1 by the process id that a node that is there reports."""
         name = None if context.robot is None else RobotName.parse(context.robot)
         master = None
         if name is not None and name.link == _ROS1:
@@ -212,7 +215,7 @@ class RosGraph(Profiler):
         chosen = []
         for node, selector in self.nodes.items():
             full = self._full_name(node, context)
-            pid = master.pid_of(full) if master is not None and selector.startswith("node:") else None
+            pid = master.pid_of(full) if master and full in present and selector.startswith("node:") else None
             by_name = f"node:{full}" if selector == f"node:{node}" else selector
             chosen.append(by_name if pid is None else f"pid:{pid}")
         return chosen

@@ -23,11 +23,11 @@ _lock = threading.Lock()
 
 
 def note_sent(topic: str, command: Any) -> None:
-    """Note a command that is about to be sent on a topic: a velocity, in m/s and rad/s, or a whole message.
+    """Note a command that is about to be sent on a topic: a velocity without its stamp, or a whole message.
 
     Example:
-        >>> note_sent("/cmd_vel", (0.2, 0.0))
-        >>> is_from_here("/cmd_vel", (0.2, 0.0)), is_from_here("/cmd_vel", (0.3, 0.0))
+        >>> note_sent("/cmd_vel", {"linear": {"x": 0.2}})
+        >>> is_from_here("/cmd_vel", {"linear": {"x": 0.2}}), is_from_here("/cmd_vel", {"linear": {"x": 0.3}})
         (True, False)
     """
     with _lock:

@@ -7,11 +7,10 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import ExitStack
 from functools import partial
 from textwrap import shorten
-from typing import Any
 
 from robot_runner.core.errors import Finding, LinkError
 from robot_runner.core.events.context import RobotRunnerContext
-from robot_runner.core.links.commanded_topics import VELOCITIES
+from robot_runner.core.links.commanded_topics import TWISTS
 from robot_runner.core.links.graph_names import full_name
 from robot_runner.core.links.robot import GraphEndpoint, GraphListing, Message, RobotLink
 from robot_runner.core.words import enumerated
@@ -49,7 +48,7 @@ class SoleControl:
         command_topic: str,
         where: str,
         pose_topic: str | None = None,
-        types: Collection[str] = VELOCITIES,
+        types: Collection[str] = TWISTS,
     ) -> None:
         self._link = link
         self._pose_topic = None if pose_topic is None else full_name(namespace, pose_topic)
@@ -121,12 +120,12 @@ class SoleControl:
 
     def _hearer(self, message_type: str, tell: Callable[[str], object]) -> Callable[[Message], None]:
         def hear(message: Message) -> None:
-            is_velocity = message_type in VELOCITIES
-            command: Any = planar(velocity_of(message_type, message)) if is_velocity else message
+            is_velocity = message_type in TWISTS
+            command = velocity_of(message_type, message) if is_velocity else message
             if not is_from_here(self._command_topic, command) and not self._is_over.is_set():
                 rivals = _others(self._link.publishers(self._command_topic))
                 who = named(rivals) if rivals else "somebody else"
-                shown = f"{command[0]:g} m/s, {command[1]:g} rad/s" if is_velocity else shorten(str(command), _SHOWN)
+                shown = _velocity(command) if is_velocity else shorten(str(command), _SHOWN)
                 self._tell(tell, f"{who} commands the robot on {self._command_topic!r}: {shown}")
 
         return hear
@@ -187,6 +186,14 @@ def named(endpoints: Iterable[GraphEndpoint]) -> str:
 def is_told(type_name: str) -> bool:
     """Whether a graph told a type: a link says `*`, or nothing, of one that it does not know."""
     return type_name not in {"", "*"}
+
+
+def _velocity(twist: Message) -> str:
+    speed, rate = planar(twist)
+    moves = {(part, axis) for part, values in twist.items() for axis, value in values.items() if value}
+    if moves <= {("linear", "x"), ("angular", "z")}:  # else sideways, or in the air
+        return f"{speed:g} m/s, {rate:g} rad/s"
+    return shorten(str(twist), _SHOWN)
 
 
 def _others(endpoints: Sequence[GraphEndpoint]) -> list[GraphEndpoint]:

@@ -21,6 +21,7 @@ from robot_runner.core.links.robot import Encoding, RawMessage, RobotLink
 from robot_runner.core.plugin import Circumstances, Profiler
 from robot_runner.measuring.quality import Column, SampleQuality, quality_of
 from robot_runner.ros.robot_system import OfTheRobot
+from robot_runner.ros.sole_control import is_told
 
 _HEADERS = frozenset({"Header", "std_msgs/Header", "std_msgs/msg/Header"})
 #: How often missing topics are looked for on the graph, s.
@@ -90,10 +91,10 @@ class TopicProfiler(OfTheRobot, Profiler):
         link, namespace, clock = self.link(context), robot_namespace(context, self.namespace), context.clock
         wanted = {name: full_name(namespace, name) for name in names}
         deadline = clock.now() + self.patience
-        types = link.topics()
+        types = _typed(link)
         while not all(full in types for full in wanted.values()) and clock.now() < deadline:
             clock.sleep(_LOOK)
-            types = link.topics()
+            types = _typed(link)
         return {name: TypedTopic(name, full, types[full]) if full in types else None for name, full in wanted.items()}
 
     def link(self, context: RobotRunnerContext) -> RobotLink:
@@ -103,6 +104,11 @@ class TopicProfiler(OfTheRobot, Profiler):
     def is_of_simulation(self, context: RobotRunnerContext) -> bool:
         """Whether the robot is a simulated one."""
         return is_simulation(self.link(context), robot_namespace(context, self.namespace))
+
+
+def _typed(link: RobotLink) -> dict[str, str]:
+    """Return the type of each topic that has one: the graph tells none where it is only subscribed, as any type."""
+    return {name: message_type for name, message_type in link.topics().items() if is_told(message_type)}
 
 
 def topic_label(topic: str, *, where: str) -> str:

@@ -14,13 +14,23 @@ from robot_runner.core.links.robot import Encoding
 from robot_runner.ros.action_types import is_action_part, whole_action
 from robot_runner.ros.message_codec import FILLER, MessageCodec, NodeKind
 from robot_runner.ros.shapes import ROS1_KINDS, Field, Shape, UpTo, plain_type
-from robot_runner.ros.type_store import LATEST, filled_store, given_defaults, service_part, stored_name, with_definition
+from robot_runner.ros.type_store import (
+    LATEST,
+    filled_store,
+    given_defaults,
+    service_part,
+    stored_name,
+    type_hash,
+    with_definition,
+)
 
 if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore
 
-#: Type stores lose the defaults that definitions give. Of ROS 2's standard messages this is the only one with any.
+#: Type stores lose the defaults that definitions give: those of ROS 2's standard messages, as far as they are not zero.
+#: That of a satellite fix came with Jazzy, and so did the constant that tells of it.
 STANDARD_DEFAULTS = {("geometry_msgs/msg/Quaternion", "w"): 1.0}
+_SATELLITE_FIX, _UNKNOWN_FIX = "sensor_msgs/msg/NavSatStatus", ("STATUS_UNKNOWN", "int8", -2)
 
 _ROS1_STAMPS = {"builtin_interfaces/msg/Time": "time", "builtin_interfaces/msg/Duration": "duration"}
 
@@ -44,6 +54,8 @@ class TypeCatalogue:
     ) -> None:
         self._store = store
         self._defaults = {**(STANDARD_DEFAULTS if generation == 2 else {}), **defaults}  # noqa: PLR2004  # of ROS
+        if _UNKNOWN_FIX in store.fielddefs.get(_SATELLITE_FIX, ((), ()))[0]:
+            self._defaults[_SATELLITE_FIX, "status"] = _UNKNOWN_FIX[2]
         self._generation = generation
         self._codec = MessageCodec(store, signed_bytes=generation == 1)
         self._shapes: dict[str, Shape] = {}
@@ -93,7 +105,7 @@ class TypeCatalogue:
         name = self._known(message_type)
         if self._generation == 1:
             return self._store.generate_msgdef(name, ros_version=1)[1]
-        return self._store.hash_rihs01(name)
+        return type_hash(self._store, name)
 
     def serialise(self, message_type: str, message: Mapping[str, Any], encoding: Encoding) -> bytes:
         """Return the bytes of a complete message, as `shapes.completed` makes it; CDR is little endian.

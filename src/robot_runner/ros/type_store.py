@@ -25,6 +25,9 @@ ROS2_DISTROS = ("foxy", "galactic", "humble", "iron", "jazzy", "kilted")
 #: The separator of several definitions in one text.
 _NEXT = re.compile(r"^=+\nMSG: *", re.MULTILINE)
 
+#: A field of texts that rosbags does not know, and its name.
+_WIDE = re.compile(r"^[ \t]*wstring\b[^\s#]*[ \t]+(\w+)", re.MULTILINE)
+
 #: The distribution of ROS 2 whose types are used if none is named.
 LATEST = "jazzy"
 #: The field in ROS 2 of a type without fields, such as one of constants only.
@@ -102,6 +105,37 @@ def with_definition(store: Typestore, name: str, text: str) -> tuple[Typestore, 
     _register(rosbags, extended, {**store.fielddefs, **fresh}, {})
     _check_references(fresh, extended, {})
     return extended, defaults
+
+
+def type_hash(store: Typestore, name: str) -> str:
+    """Return the hash (RIHS01) of a type of ROS 2 as rosidl computes it, by its name as stores spell it.
+
+    rosbags takes `char` for a kind of its own; rosidl writes `uint8` for it (github.com/ros2/rosidl, rosidl_adapter).
+    """
+    parts = [name]
+    for each in parts:  # which grows
+        parts += [kind for kind in _kinds(store, each) if kind in store.fielddefs and kind not in parts]
+    if not any("char" in _kinds(store, each) for each in parts):
+        return store.hash_rihs01(name)
+    rosbags = _rosbags()
+    plain: Typestore = rosbags.get_typestore(rosbags.Stores.EMPTY)
+    fields = {each: [(field, _as_uint8(kind)) for field, kind in store.fielddefs[each][1]] for each in parts}
+    plain.register({each: (store.fielddefs[each][0], fields[each]) for each in parts})
+    return plain.hash_rihs01(name)
+
+
+def _kinds(store: Typestore, name: str) -> list[str]:
+    """Return the kinds of the fields of a type, or of the elements of those that are arrays."""
+    described: list[Any] = [description for _, description in store.fielddefs[name][1]]
+    inner = [detail[0] if kind > NodeKind.TYPE else (kind, detail) for kind, detail in described]
+    return [detail if kind == NodeKind.TYPE else detail[0] for kind, detail in inner]
+
+
+def _as_uint8(description: Any) -> Any:
+    kind, detail = description
+    if kind > NodeKind.TYPE:
+        return kind, (_as_uint8(detail[0]), detail[1])
+    return (kind, ("uint8", detail[1])) if kind == NodeKind.BASIC and detail[0] == "char" else description
 
 
 def stored_name(name: str, kind: str = "msg") -> str:
@@ -199,6 +233,9 @@ def _parts(name: str, text: str, where: str, generation: int) -> dict[str, str]:
 
 
 def _message(rosbags: Any, name: str, text: str, where: str) -> dict[str, Any]:
+    if wide := _WIDE.search(text):
+        problem = f"the field {wide[1]!r} of {name} is a wstring, which only rclpy can send"
+        raise LinkError(problem, where=where, fix="Leave the file out, or reach the robot over ros2.")
     # The parser resolves names within the package only if its own is spelt with `msg`.
     spelt = name.replace("/srv/", "/msg/").replace("/action/", "/msg/")
     try:

@@ -25,6 +25,8 @@ if TYPE_CHECKING:
     from robot_runner.subjects.supervised_program import SupervisedProgram
 
 _GRAPH_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
+#: A character beyond the first 65,536, such as an emoji, as JSON writes it.
+_PAIR = re.compile(r"\\ud[89ab]..\\ud[c-f]..")
 _PARAMETER = re.compile(r"[A-Za-z0-9_./~-]+")
 #: roslaunch reads the launch file of the one node from its input, wherever it is executed; the file is its `$0`.
 _FROM_INPUT = "exec roslaunch - <<END\n$0\nEND\n"
@@ -185,12 +187,20 @@ class RosNode(RosSubject):
 def _yaml(value: Any) -> str:
     """Return a value as YAML: as JSON, where the text "1" stays a text, but for numbers such as 1e-06.
 
-    YAML 1.1, which PyYAML and so rosparam reads, takes a number without a point for a text.
+    YAML 1.1, which PyYAML and so rosparam reads, takes a number without a point for a text, and a character that JSON
+    writes as two for two characters.
     """
     if isinstance(value, list):
         return f"[{', '.join(map(_yaml, value))}]"
     text = json.dumps(value)
+    if isinstance(value, str):
+        return _PAIR.sub(_of_yaml, text)
     return text.replace("e", ".0e") if isinstance(value, float) and "." not in text else text
+
+
+def _of_yaml(pair: re.Match[str]) -> str:
+    character: str = json.loads(f'"{pair[0]}"')
+    return f"\\U{ord(character):08x}"
 
 
 def _flat(plugin: str, parameters: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:

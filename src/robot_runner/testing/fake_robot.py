@@ -379,5 +379,6 @@ def _standard_types() -> TypeCatalogue:
     return TypeCatalogue.of(2)
 
 
-def _moves(twist: Message) -> bool:
-    return any(component for part in ("linear", "angular") for component in twist.get(part, {}).values())
+def _moves(command: Message) -> bool:
+    parts = [each for name, each in command.items() if name != "header"]
+    return any(_moves(each) if isinstance(each, Mapping) else each for each in parts)

@@ -99,7 +99,7 @@ class GraphLinkContract(RobotLinkContract):
                 return all(look().holds for look in looks.values())
 
             self.until(hold, f"these do not hold: {list(looks)}", timeout=self.discovery)
-            for condition in (node_present(node) for node in link.nodes()):
+            for condition in map(node_present, filter(getattr(link, "answers", None), link.nodes())):
                 require(condition.watch(context, opened)().holds, f"it does not hold that {condition}")
             if link.services():
                 ready = service_present("task/ready").watch(context, opened)

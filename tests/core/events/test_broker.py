@@ -118,6 +118,36 @@ def test_one_measure_is_doubted_by_its_name_alone(
     assert reported[0][1]["measures"] == ["Energy"]
 
 
+def test_a_doubt_about_one_measure_is_about_its_phases_and_not_the_reverse(
+    reported: list[tuple[str, dict[str, Any]]],
+) -> None:
+    names = ("CPU_nav", "CPU_nav.task", "CPU_nav_2.task", "Memory_nav.task")
+    measures = {"PsUtil": [Measure(name, "%") for name in names], "Other": [Measure("CPU_nav.task", "%")]}
+    broker = MeasureBroker(
+        "r_1", resolve_columns(None, measures)[0], lambda kind, fields: reported.append((kind, fields))
+    )
+    broker.doubt("PsUtil", "a child ended", "", ["CPU_nav"])
+    broker.doubt("PsUtil", "the phase was short", "", ["CPU_nav.task"])
+    doubted = [fields["measures"] for _, fields in reported]
+    assert doubted == [["CPU_nav", "PsUtil.CPU_nav.task"], ["PsUtil.CPU_nav.task"]]
+
+
+def test_what_is_computed_from_a_doubtful_phase_is_doubtful_in_that_phase(
+    reported: list[tuple[str, dict[str, Any]]],
+) -> None:
+    measures = {
+        "PsUtil": [Measure(name, "%") for name in ("CPU", "CPU.task", "CPU.drive", "CPU_node.task")],
+        "PowerModel": [Measure(name, "J") for name in ("Energy", "Energy.task", "Energy.drive")],
+    }
+    broker = MeasureBroker(
+        "r_1", resolve_columns(None, measures)[0], lambda kind, fields: reported.append((kind, fields))
+    )
+    broker.derive("PowerModel", "PsUtil", ["CPU", "Memory"])
+    broker.doubt("PsUtil", "the phase was short", "", ["CPU.task"])
+    broker.doubt("PsUtil", "the phase was short", "", ["CPU_node.task"])
+    assert [fields["measures"] for _, fields in reported] == [["CPU.task", "Energy.task"], ["CPU_node.task"]]
+
+
 def test_an_exception_may_be_the_problem_and_none_the_fix(
     broker: MeasureBroker, reported: list[tuple[str, dict[str, Any]]]
 ) -> None:

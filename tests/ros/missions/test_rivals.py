@@ -6,6 +6,7 @@ import subprocess
 import sys
 import time
 from contextlib import ExitStack
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -19,7 +20,10 @@ from robot_runner.core.links.robot_name import RobotName
 from robot_runner.core.storage.journal import read_journal
 from robot_runner.plugins.systems import TopicMission
 from robot_runner.ros.graph_links import GRAPH_LINKS
+from robot_runner.ros.opened_names import Advertised
 from robot_runner.ros.sent_commands import is_from_here, note_sent
+from robot_runner.ros.shapes import completed
+from robot_runner.ros.type_catalogue import TypeCatalogue
 from robot_runner.testing import FakeClock, FakeLinks, FakeRobotLink, make_context, rehearse
 
 if TYPE_CHECKING:
@@ -113,6 +117,21 @@ def test_a_mission_that_need_not_be_alone_is_doubtful_where_it_was_not(tmp_path:
         else:
             assert rehearse(context, mission)["Messages"] == 20
             assert "somebody else commands the robot" in context.broker.findings[0].problem
+
+
+def test_a_rival_that_moves_a_robot_sideways_is_not_taken_for_our_command_to_stand_still(tmp_path: Path) -> None:
+    clock = FakeClock()
+    link = FakeRobotLink(clock)
+    shape = TypeCatalogue.of(2).shape(_TWIST)
+    still, sideways = (completed(shape, {"linear": {"y": speed}}, where="cmd_vel") for speed in (0.0, 0.3))
+    Advertised(_TWIST, shape, SimpleNamespace(publish=print)).send("/cmd_vel", still)
+    clock.at(0.5, lambda: link.deliver("/cmd_vel", still))
+    clock.at(1.0, lambda: link.deliver("/cmd_vel", sideways))
+    mission = TopicMission("cmd_vel", _TWIST, {}, until=2.0)
+    context = make_context(tmp_path, mission, robot="dds", links=FakeLinks(robot=link), clock=clock)
+    with pytest.raises(RunFailed, match=r"somebody else commands the robot on '/cmd_vel': .*'y': 0\.3"):
+        rehearse(context, mission)
+    assert clock.now() == pytest.approx(1.0, abs=0.2)
 
 
 def test_a_message_is_known_again_after_it_was_rounded_on_its_way() -> None:

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import threading
+import time
 from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from robot_runner import all_of, text_in
 from robot_runner.conditions.topic_messages import topic_above
 from robot_runner.core.errors import ConditionTimeout, PluginError
 from robot_runner.core.links import commanded_topics
@@ -52,6 +55,19 @@ def test_for_some_seconds_it_publishes_as_often_as_it_says_and_the_safe_message_
     assert rehearse(context, once)["Messages"] == 1
 
 
+@pytest.mark.parametrize("message_type", ["ackermann_msgs/AckermannDrive", "ackermann_msgs/msg/AckermannDriveStamped"])
+def test_a_car_is_stopped_as_any_other_robot_is(tmp_path: Path, message_type: str) -> None:
+    clock = FakeClock()
+    link = FakeRobotLink(clock)
+    message = {"drive": {"speed": 1.0}} if message_type.endswith("Stamped") else {"speed": 1.0}
+    mission = TopicMission("drive", message_type, message, until=2.0)
+    context = make_context(tmp_path, mission, robot="dds", links=FakeLinks(robot=link), clock=clock)
+    clock.at(1.0, lambda: link.stands_still and pytest.fail("it drives"))
+    assert rehearse(context, mission)["Messages"] == 20
+    assert link.publications[-1].message == {"data": 0}  # the heartbeat's farewell
+    assert link.stands_still
+
+
 class _UnreachedLink(FakeRobotLink):
     """A link whose only subscriber has another version of the type, so that it never connects."""
 
@@ -79,6 +95,37 @@ def test_a_condition_that_never_holds_fails_the_run_with_what_was_seen(tmp_path:
         rehearse(context, mission)
     assert clock.now() == pytest.approx(3.0)
     assert link.stands_still
+
+
+@pytest.mark.parametrize("is_mixed", [False, True])
+def test_what_goes_on_outside_a_simulation_is_awaited_in_real_time(tmp_path: Path, is_mixed: bool) -> None:
+    output = tmp_path / "output.txt"
+    done = text_in(output, "done")
+    until = all_of(done, topic_above("odom", "nav_msgs/Odometry", "pose.pose.position.x", -1.0)) if is_mixed else done
+    mission = TopicMission("cmd_vel", _TWIST, {"linear": {"x": 0.01}}, until=until, timeout_s=60.0)
+    context = make_context(tmp_path, mission)
+    program = threading.Timer(0.2, output.write_text, ["done"])
+    began = time.monotonic()
+    program.start()
+    assert rehearse(context, mission)["Duration"] <= time.monotonic() - began
+    program.join()
+    context.resources.close()
+
+
+@pytest.mark.parametrize(("places", "is_doubted"), [([0.9, 0.91], True), ([0.45, 0.6], False)])
+def test_a_mission_that_was_over_before_it_began_makes_the_run_doubtful(
+    tmp_path: Path, places: list[float], is_doubted: bool
+) -> None:
+    clock = FakeClock()
+    link = FakeRobotLink(clock)
+    for number, x in enumerate(places):  # the odometry goes on where the run before has left the robot
+        clock.at(0.1 + 0.2 * number, lambda x=x: link.deliver("odom", {"pose": {"pose": {"position": {"x": x}}}}))
+    mission = TopicMission("cmd_vel", _TWIST, {"linear": {"x": 0.2}}, until=_FAR)
+    context = make_context(tmp_path, mission, links=FakeLinks(robot=link), clock=clock)
+    rehearse(context, mission)
+    told = [each.problem for each in context.broker.findings]
+    assert all("0.1 s after the mission began, and was not seen not to hold" in problem for problem in told)
+    assert len(told) == is_doubted
 
 
 @pytest.mark.parametrize(

@@ -235,8 +235,12 @@ def _way_of(
     *,
     by_tf: bool = False,
     is_told: Callable[[float], bool] = lambda time: True,
+    speed: float = 0.0,
 ) -> tuple[Any, Sequence[Finding]]:
-    """Return the way of a robot that is at `place(time)` on the x axis, told 50 times a second, and what is doubted."""
+    """Return the way of a robot that is at `place(time)` on the x axis, told 50 times a second, and what is doubted.
+
+    `speed` is what its odometry tells as its velocity, m/s.
+    """
     clock = FakeClock()
     link = FakeRobotLink(clock)
 
@@ -246,7 +250,8 @@ def _way_of(
         if not is_told(clock.now()):
             return
         link.deliver("/tf", {"transforms": [told]})
-        link.deliver("odom", {**told, "pose": {"pose": pose}})
+        twist = {"linear": {"x": speed, "y": 0.0, "z": 0.0}, "angular": dict.fromkeys("xyz", 0.0)}
+        link.deliver("odom", {**told, "pose": {"pose": pose}, "twist": {"twist": twist}})
 
     clock.every(0.02, tell)
     way = WayMeasures(*((None, None, ("odom", "base_link")) if by_tf else ("odom", None, None)), where="Go")
@@ -344,6 +349,19 @@ def test_a_way_by_odometry_that_jumped_further_than_anything_drives_is_doubted(t
     length, (doubt,) = _way_of(tmp_path, lambda time: 0.2 * time + (3.0 if time > 5.0 else 0.0))
     assert length == pytest.approx(7.0, abs=0.1)
     assert "jumped by 3.00 m within 0.02 s" in doubt.problem
+
+
+def test_a_way_by_odometry_that_was_set_again_is_doubted_by_the_speed_that_it_tells(tmp_path: Path) -> None:
+    length, (doubt,) = _way_of(tmp_path, lambda time: 0.2 * time - (1.0 if time > 5.0 else 0.0), speed=0.2)
+    assert length == pytest.approx(5.0, abs=0.1)
+    assert "jumped by 1.00 m within 0.02 s" in doubt.problem
+
+
+def test_a_robot_that_tells_less_speed_than_it_has_is_not_said_to_jump(tmp_path: Path) -> None:
+    _, findings = _way_of(tmp_path, lambda time: 2.0 * time, speed=0.5)
+    assert not findings
+    _, findings = _way_of(tmp_path, lambda time: float(time // 5.0), speed=0.001)  # noise of a filter
+    assert not findings
 
 
 @pytest.mark.parametrize("frames", ["map", ("map",), ("map", ""), ("map", "odom", "base_link")])

@@ -23,6 +23,9 @@ from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.outliving import program_name, spare
 from robot_runner.core.storage.record_shapes import ClockFacts
 
+#: The run id of a probe, in which each profiler is tried for a moment, without a mission.
+PROBE = "probe"
+
 # The clock of a run: the machine's own, or that of a simulated robot.
 
 
@@ -296,7 +299,7 @@ class RobotRunnerContext(ExperimentContext):
         Args:
             problem: the reason, with figures.
             fix: what can be done about it, in one sentence.
-            measures: whose values, by the names that were declared; none named: all of the owner's.
+            measures: whose values, also per phase, by the names that were declared; none named: all of the owner's.
 
         Raises:
             MeasureError: the owner declared no such measure.

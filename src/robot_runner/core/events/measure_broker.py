@@ -106,18 +106,21 @@ class MeasureBroker:
         self._record_finding(owner, problem, fix, {})
 
     def doubt(self, owner: str, problem: str, fix: str, measures: Sequence[str] = ()) -> None:
-        """Record a warning finding that makes values of this run doubtful.
+        """Record a warning finding that makes values of this run doubtful; a measure's, also those of its phases.
 
         Raises:
             MeasureError: the owner declared no such measure.
         """
         named = (measures,) if isinstance(measures, str) else measures
-        columns = [self._columns.column_for(owner, name) for name in named] or self._columns_of(owner)
+        asked = [self._columns.column_for(owner, name) for name in named]
+        columns = [each for one in asked for each in (one, *self._phases_of(one))] or self._columns_of(owner)
         names = {column.measure.name for column in columns}
+        names |= {name.rpartition(".")[0] for name in names}
+        phases = {_phase_of(column) for column in columns}
         for derived, source, read in self._derived:
             if source == owner and (not read or read & names):
-                columns += self._columns_of(derived)
-        self._record_finding(owner, problem, fix, {"measures": [column.name for column in columns]})
+                columns += [each for each in self._columns_of(derived) if {"", _phase_of(each)} & phases]
+        self._record_finding(owner, problem, fix, {"measures": list(dict.fromkeys(each.name for each in columns))})
 
     def derive(self, owner: str, source: str, names: Iterable[str] = ()) -> None:
         """Have later doubts about the measures of `source` count for all measures of `owner`, which has them computed.
@@ -131,6 +134,11 @@ class MeasureBroker:
 
     def _columns_of(self, owner: str) -> list[measure.MeasureColumn]:
         return [column for column in self._columns.declared if column.owner == owner]
+
+    def _phases_of(self, column: measure.MeasureColumn) -> list[measure.MeasureColumn]:
+        """Return the columns of a measure's values per phase, `<measure>.<phase>`: they come from the same samples."""
+        name = column.measure.name
+        return [each for each in self._columns_of(column.owner) if each.measure.name.rpartition(".")[0] == name]
 
     def doubt_run(self, owner: str, problem: str, fix: str) -> None:
         """Record a warning finding that makes all values of this run doubtful, whoever publishes them."""
@@ -146,6 +154,12 @@ class MeasureBroker:
         """Report something else that happened in this run, as a record of this kind."""
         with undivided, self._lock:
             self._report(kind, {"owner": owner, **facts})
+
+
+def _phase_of(column: measure.MeasureColumn) -> str:
+    """Return the phase that a column is about; empty for the whole mission."""
+    name, _, phase = column.measure.name.rpartition(".")
+    return phase if name else ""
 
 
 def _refuse_text_with_unit(column: measure.MeasureColumn, value: measure.MeasureValue, *, where: str) -> None:

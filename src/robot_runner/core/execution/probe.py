@@ -11,6 +11,7 @@ from typing import Any
 from robot_runner.core.config.experiment import Experiment
 from robot_runner.core.config.parameters import Parameters
 from robot_runner.core.errors import ExecutionError, Finding, errors_first
+from robot_runner.core.events.context import PROBE
 from robot_runner.core.events.manager import RUN_EVENTS, EventManager, RobotRunnerEvents
 from robot_runner.core.events.measure import MeasureColumn, PublishedMeasure
 from robot_runner.core.execution.aside import executed_aside
@@ -24,8 +25,6 @@ from robot_runner.core.storage.lock import ExperimentLock
 from robot_runner.core.treatments import built_with, factors_of
 from robot_runner.core.words import enumerated
 
-#: The run id in the context of a probe, and in its findings.
-_RUN = "probe"
 #: How long an event may take beyond the window, s: to connect to another computer, or for a board to boot.
 _PATIENCE = 30.0
 #: A probe calls none of these. A profiler that sets something up in them is not probed, as it could not measure.
@@ -218,7 +217,7 @@ def _probed(profiler: Profiler, experiment: Experiment, outcome: RunOutcome) -> 
         if column.owner == profiler.name and column.measure.name not in {*phases, *profiler.not_probed}
     ]
     measures = {column.name: outcome.measures[column.name] for column in columns if column.name in outcome.measures}
-    said = [each for each in outcome.findings if each.where == f"{_RUN}, {profiler.name}"]
+    said = [each for each in outcome.findings if each.where == f"{PROBE}, {profiler.name}"]
     return Probed(
         profiler.name,
         measures,
@@ -234,7 +233,7 @@ def _tried(
 ) -> RunOutcome:
     steps = executed_aside(
         experiment,
-        replace(task, run_id=_RUN),
+        replace(task, run_id=PROBE),
         lambda: time.sleep(window),
         Watch(interruption),
         deadline_s=window + _PATIENCE,

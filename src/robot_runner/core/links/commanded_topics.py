@@ -11,8 +11,10 @@ from robot_runner.core.errors import LinkError
 from robot_runner.core.links.robot import Advertiser, Message, Qos, RobotLink
 from robot_runner.core.words import enumerated
 
+#: The types of a velocity in all directions.
+TWISTS = frozenset({"geometry_msgs/Twist", "geometry_msgs/TwistStamped"})
 #: A robot carries out a command of these types until the next one; an empty message, all zero, stops it.
-VELOCITIES = frozenset({"geometry_msgs/Twist", "geometry_msgs/TwistStamped"})
+VELOCITIES = TWISTS | {"ackermann_msgs/AckermannDrive", "ackermann_msgs/AckermannDriveStamped"}
 #: In the problem of a finding or a failure: the robot could not be stopped, so that no further run begins.
 MAY_BE_MOVING = "THE ROBOT MAY BE MOVING"
 #: The reason why an experiment was stopped then (`stopped_by`).

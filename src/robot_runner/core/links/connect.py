@@ -381,9 +381,9 @@ _CLOCK = "/clock"
 def is_simulation(link: RobotLink, namespace: str = "") -> bool:
     """Whether there is a simulated robot behind a link: the embedded one, or one on a graph that shows a sign of it.
 
-    The signs are the mark of `robot-runner simulate`, and a `/clock`: a graph with real robots needs none. They are
-    looked for after the mission: a graph may be known only seconds after it was joined, and to look takes time, which
-    is not to be measured.
+    The signs are the mark of `robot-runner simulate`, and a `/clock`: a graph with real robots needs none, unless this
+    link alone tells the time, as of a bag that it plays. They are looked for after the mission: a graph may be known
+    only seconds after it was joined, and to look takes time, which is not to be measured.
 
     Raises:
         LinkError: the graph cannot be reached.
@@ -396,4 +396,5 @@ def is_simulation(link: RobotLink, namespace: str = "") -> bool:
     if link.is_simulated:
         return True
     topics = link.topics()
-    return _CLOCK in topics or full_name(namespace, SIMULATION_TOPIC) in topics
+    is_own = {each.is_own for each in link.publishers(_CLOCK)} if _CLOCK in topics else {True}
+    return is_own != {True} or full_name(namespace, SIMULATION_TOPIC) in topics

@@ -320,6 +320,14 @@ class GraphListing(Protocol):
 
 
 @runtime_checkable
+class AsksNodes(Protocol):
+    """Asks a node whether it is there: the master of ROS 1 lists killed nodes, too."""
+
+    def answers(self, node: str) -> bool:
+        """Return whether a node of this full name is there; True where nobody can be asked."""
+
+
+@runtime_checkable
 class RobotLink(Publisher, Subscriber, Caller, Offerer, ActionCaller, ActionOfferer, GraphListing, Protocol):
     """A link to one robot. Names are relative to the robot's namespace unless they begin with `/`.
 

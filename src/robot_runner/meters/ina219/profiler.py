@@ -326,7 +326,8 @@ class Ina219(Profiler):
             return (evaluation if window == mission else meter.evaluate(mission, window)).values()
 
         origin = Origin.SIMULATED if evaluation.is_simulated else Origin.MEASURED
-        publish_measures(context, self.measures, evaluated, origin=origin)
+        times = evaluation.power.times if meter.has_samples_at_once else ()  # those of a card are on its own clock
+        publish_measures(context, self.measures, evaluated, origin=origin, times=times)
 
     @property
     def _where(self) -> str:

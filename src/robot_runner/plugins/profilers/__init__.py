@@ -31,10 +31,10 @@ if TYPE_CHECKING:
     from robot_runner.meters.power_model.states import RobotState as RobotState
     from robot_runner.meters.power_rails import PowerRails as PowerRails
     from robot_runner.meters.prometheus import Prometheus as Prometheus
-    from robot_runner.meters.prometheus import ScrapedMetric as ScrapedMetric
     from robot_runner.meters.psutil import PsUtil as PsUtil
     from robot_runner.meters.rapl import Rapl as Rapl
     from robot_runner.meters.scpi import Scpi as Scpi
+    from robot_runner.meters.scraped_metric import ScrapedMetric as ScrapedMetric
     from robot_runner.meters.smart_plug import SmartPlug as SmartPlug
     from robot_runner.meters.watts_up_pro import WattsUpPro as WattsUpPro
     from robot_runner.ros.ros_bag import RosBag as RosBag

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from robot_runner.core.errors import GoalRejectedError, LinkError, PluginError, did_you_mean
 from robot_runner.core.events.context import RobotRunnerContext
 from robot_runner.core.events.measure import Measure, MeasureValue
-from robot_runner.core.links.commanded_topics import VELOCITIES
+from robot_runner.core.links.commanded_topics import TWISTS
 from robot_runner.core.links.connect import connect_robot, is_simulation, robot_namespace
 from robot_runner.core.links.goals import ActionResult, GoalStatus
 from robot_runner.core.links.graph_names import GraphNeed, field_of, full_name
@@ -173,7 +173,7 @@ class ActionMission(RobotSystem):
         yield from self._of_way.required()
         if self.stop_topic is not None:
             fix = "Start the robot's bringup, or leave stop_topic out."
-            yield GraphNeed.subscribed(self.stop_topic, *sorted(VELOCITIES), fix=fix)
+            yield GraphNeed.subscribed(self.stop_topic, *sorted(TWISTS), fix=fix)
 
     def start_run(self, context: RobotRunnerContext) -> None:
         """Connect, and check that the messages for measures of the way arrive."""

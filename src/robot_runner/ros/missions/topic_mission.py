@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import ExitStack, nullcontext
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -11,7 +12,7 @@ from robot_runner.core.errors import ConditionTimeout, Finding, PluginError
 from robot_runner.core.events.condition import Condition, Look
 from robot_runner.core.events.context import RobotRunnerContext
 from robot_runner.core.events.measure import Measure
-from robot_runner.core.links.commanded_topics import VELOCITIES, command_for_certain
+from robot_runner.core.links.commanded_topics import TWISTS, VELOCITIES, command_for_certain
 from robot_runner.core.links.connect import connect_robot, is_simulation, robot_namespace
 from robot_runner.core.links.graph_names import GraphNeed
 from robot_runner.core.links.robot import Advertiser, Qos, RobotLink
@@ -23,6 +24,9 @@ from robot_runner.ros.turtlebot3.steered_robot import Heartbeat
 if TYPE_CHECKING:
     from robot_runner.core.plugin import Circumstances
 
+_PUT_BACK = "Have each run begin where the condition does not hold: put the robot back, or reset its odometry."
+#: A condition that holds within so many seconds, and was not seen not to hold, may have held before the mission began.
+_AT_ONCE = 0.5
 #: Clocks round: a message that is due within so many seconds is sent now.
 _TICK = 1e-6
 
@@ -37,9 +41,11 @@ class TopicMission(RobotSystem):
         until: a condition, such as `topic_above(...)`, which has a `namespace` argument of its own; or a number of
             seconds.
         rate_hz: messages a second, 1/s; 0 for a single message.
-        timeout_s: how long the condition may take, s of the run's clock; the run fails then.
+        timeout_s: how long the condition may take, s of the run's clock; the run fails then. Where it is about what is
+            outside of a simulation, such as a file, a simulated second takes a real one.
         afterwards: the safe message, published when the mission is over or breaks off, and by the standby when the run
-            dies. Left out, it is zero after a velocity command, and none after any other message.
+            dies. Left out, it is zero after a velocity command (Twist or AckermannDrive, also stamped), and none after
+            any other message.
         name: tells several instances apart; the class's name if left out.
         namespace: the robot's ROS namespace, such as `/alice`.
         sole_control: whether a run fails if another node publishes on the topic during it; if False, the run's values
@@ -123,7 +129,8 @@ class TopicMission(RobotSystem):
         self._link = connect_robot(context, namespace=self.namespace)
         if self._is_velocity:
             self._heartbeat = Heartbeat(self._link)
-        types = VELOCITIES if self._is_velocity else {plain_type(self.message_type)}
+        plain = plain_type(self.message_type)
+        types = TWISTS if plain in TWISTS else {plain}
         namespace = robot_namespace(context, self.namespace)
         self._control = SoleControl(
             self._link, namespace=namespace, command_topic=self.topic, where=self.name, types=types
@@ -176,7 +183,9 @@ class TopicMission(RobotSystem):
 
     def _publish_until(self, link: RobotLink, context: RobotRunnerContext, look_again: Callable[[], Look]) -> int:
         clock, begun, due, count = context.clock, context.clock.now(), 0.0, 0
+        was_awaited = isinstance(self.until, _Elapsed)
         while not (look := look_again()).holds:
+            was_awaited = was_awaited or look.is_known
             elapsed = clock.now() - begun
             if not isinstance(self.until, _Elapsed) and elapsed >= self.timeout_s - _TICK:
                 self._fail(look, context)
@@ -185,9 +194,20 @@ class TopicMission(RobotSystem):
                 count += 1
                 due = count / self.rate_hz if self.rate_hz else math.inf
                 elapsed = clock.now() - begun
-            clock.sleep(max(_TICK, min(due - elapsed, self._patience(elapsed))))
-        context.broker.note(context.owner, "waited", self._facts(look, clock.now() - begun, holds=True))
+            self._sleep(max(_TICK, min(due - elapsed, self._patience(elapsed))), context)
+        lasted = clock.now() - begun
+        context.broker.note(context.owner, "waited", self._facts(look, lasted, holds=True))
+        if not was_awaited and lasted < _AT_ONCE:
+            problem = f"{self.until} {lasted:.1f} s after the mission began, and was not seen not to hold before"
+            context.broker.doubt_run(context.owner, f"{problem}: {look.seen}", _PUT_BACK)
         return count
+
+    def _sleep(self, seconds: float, context: RobotRunnerContext) -> None:
+        """Sleep on the run's clock, and for at least as long in real time where the condition lives in that, too."""
+        end = time.monotonic() + seconds
+        context.clock.sleep(seconds)
+        if self.until.clock(context) is not context.clock:
+            time.sleep(max(0.0, end - time.monotonic()))
 
     def _patience(self, elapsed: float) -> float:
         """Return how long to sleep at most until the condition is checked again, s."""

@@ -16,7 +16,15 @@ from robot_runner.core.links.graph_names import GraphNeed
 from robot_runner.core.links.robot import Message, RobotLink
 from robot_runner.ros.sole_control import sole_publisher_findings
 from robot_runner.ros.transform_buffer import TransformBuffer
-from robot_runner.ros.turtlebot3.odometry import ODOMETRY, CoarseLengths, CoarseWay, Odometer, Unseen, noise_finding
+from robot_runner.ros.turtlebot3.odometry import (
+    ODOMETRY,
+    CoarseLengths,
+    CoarseWay,
+    Jump,
+    Odometer,
+    Unseen,
+    noise_finding,
+)
 
 if TYPE_CHECKING:
     from robot_runner.ros.transforms import Transform
@@ -31,7 +39,8 @@ _PAIR = 2
 _SILENCE = 2.0
 #: How far stamps may go back, s, as messages overtake each other; a reset of a simulator sets them back by more.
 _SET_BACK = 1.0
-#: No robot is faster, m/s: the odometry was reset, or the robot was placed elsewhere in a simulation.
+#: No robot is faster, m/s, also one that does not tell its speed: the odometry was reset, or the robot was placed
+#: elsewhere in a simulation.
 _FASTEST = 100.0
 
 
@@ -122,6 +131,8 @@ class WayMeasures:
         if self._way is not None:
             self._way_before, self._way.set_back, self._way.unseen = self._way.travelled, 0.0, Unseen()
             self._coarse_before = self._way.coarse.lengths
+        if isinstance(self._way, Odometer):
+            self._way.jump = Jump()
 
     def end_mission(self, context: RobotRunnerContext) -> dict[str, float | None]:
         """Return the values since `begin_mission`; a value that is not known is doubted."""

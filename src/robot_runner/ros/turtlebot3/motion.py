@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from robot_runner.core.errors import LinkError
 from robot_runner.core.events.context import Clock
-from robot_runner.core.links.commanded_topics import VELOCITIES, commanded_type
+from robot_runner.core.links.commanded_topics import TWISTS, commanded_type
 from robot_runner.core.links.graph_names import full_name
 from robot_runner.core.links.robot import Advertiser, RobotLink
 from robot_runner.ros.graph_transport import is_simulated_time
@@ -57,7 +57,7 @@ class Wheels:
             if (known := commanded_type(self._topic)) is None:
                 raise
             return known
-        if subscribed := told & VELOCITIES:
+        if subscribed := told & TWISTS:
             self._type = min(subscribed)  # of both, the one that every robot takes
         # Where it is another type, publishing says so; where there is none yet, it is asked for again next time.
         return self._type or TWIST

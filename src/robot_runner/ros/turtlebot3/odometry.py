@@ -28,6 +28,9 @@ _POLL = 0.02
 _FASTEST = 5 * 0.26
 #: A change that is too small to be a jump, m: more than five messages of a robot at top speed may be lost for it.
 _ROOM = 0.1
+#: A robot that tells its speed is not faster than this many times the greatest that it told, if that is more than the
+#: noise of a filter, m/s.
+_MOST_TOLD, _LEAST_TOLD = 5.0, 0.01
 #: Steps of a way that are more than noise, m.
 _COARSE = 0.05
 #: A way may be longer than its coarse one by this share and so many m before it is said to be noise.
@@ -106,6 +109,28 @@ class Unseen(NamedTuple):
         return Unseen(seconds, step) if step >= _COARSE and seconds > self.seconds else self
 
 
+class Jump(NamedTuple):
+    """A change of the robot's place from one message to the next.
+
+    Attributes:
+        step: its length, m.
+        seconds: how long it took, at most.
+    """
+
+    step: float = 0.0
+    seconds: float = 0.0
+
+    @property
+    def speed(self) -> float:
+        """How fast a robot must be for it, m/s; 0 if it is too small to be a jump.
+
+        Example:
+            >>> Jump(1.1, 0.5).speed, Jump(0.1, 0.0).speed, Jump(0.2, 0.0).speed
+            (2.0, 0.0, inf)
+        """
+        return 0.0 if self.step <= _ROOM else (self.step - _ROOM) / self.seconds if self.seconds > 0 else math.inf
+
+
 class CoarseLengths(NamedTuple):
     """The length of a way, measured coarsely, m: by steps of 5 cm, and by positions each half second."""
 
@@ -182,13 +207,15 @@ class Odometer:
         timeout: how long, s, the odometry may be silent.
         where: the plugin, for errors.
         fastest: a change of the pose beyond this is a jump, m/s.
-        needs_heading: whether the robot is steered by its direction, which must then be valid.
+        needs_heading: whether the robot is steered by its direction, which must then be valid. Of any other robot, the
+            velocity that it tells says as well how fast it is.
 
     Attributes:
         on_pose: called with each pose and its time on the clock; None for no call.
         set_back: the most by which the stamps went back from one message to the next, s.
         unseen: the longest time without a message in which the place changed.
         coarse: the same way, measured coarsely.
+        jump: the change of the place, from one message to the next, that was the quickest.
     """
 
     def __init__(
@@ -198,6 +225,7 @@ class Odometer:
         self.set_back = 0.0
         self.unseen = Unseen()
         self.coarse = CoarseWay()
+        self.jump = Jump()
         self._fastest = fastest
         self._needs_heading = needs_heading
         self._clock = clock
@@ -206,7 +234,7 @@ class Odometer:
         self._pose: Pose | None = None
         self._received_at = clock.now()
         self._travelled = 0.0
-        self._jump: tuple[float, float] | None = None
+        self._told_speed = 0.0
         self._height = 0.0
         self._lost: tuple[str, str] | None = None
         self._stamp = 0
@@ -233,8 +261,9 @@ class Odometer:
             # After a pause of the network arrivals are far apart, where a clock was set stamps are.
             silence = now - self._received_at
             self.unseen = self.unseen.after(min(later, silence) if later > 0 else silence, step)
-            if self._jump is None and step > _ROOM + self._fastest * seconds:
-                self._jump = step, seconds
+            self.jump = max(self.jump, Jump(step, seconds), key=lambda each: each.speed)
+        if not self._needs_heading and (velocity := message.get("twist", {}).get("twist", {}).get("linear")):
+            self._told_speed = max(self._told_speed, math.hypot(*velocity.values()))
         self.coarse.take(stamp * 1e-9 if stamp else now, (pose.x, pose.y, height))
         self._pose, self._height, self._received_at = pose, height, now
         self._steps_back += stamp < self._stamp
@@ -247,6 +276,11 @@ class Odometer:
         """The way covered since the first message, m."""
         return self._travelled
 
+    @property
+    def _fastest_possible(self) -> float:
+        told = self._told_speed
+        return self._fastest if told < _LEAST_TOLD else min(self._fastest, _MOST_TOLD * told)
+
     def pose(self) -> Pose:
         """Return the robot's pose.
 
@@ -257,10 +291,10 @@ class Odometer:
         if self._lost is not None:  # with NaN, the controller would command its limits
             problem, fix = self._lost
             raise LinkError(problem, where=self._where, fix=fix)
-        if self._jump is not None:
-            step, seconds = self._jump
+        if self.jump.speed > self._fastest_possible:
             raise LinkError(
-                f"the odometry jumped by {step:.2f} m within {seconds:.2f} s, which the robot cannot drive",
+                f"the odometry jumped by {self.jump.step:.2f} m within {self.jump.seconds:.2f} s, "
+                "which the robot cannot drive",
                 where=self._where,
                 fix="See that one robot only publishes it, and that nothing sets it again while a run goes on.",
             )

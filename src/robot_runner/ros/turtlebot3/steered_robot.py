@@ -14,7 +14,7 @@ from robot_runner.core.errors import LinkError
 from robot_runner.core.events.context import Clock, RobotRunnerContext
 from robot_runner.core.events.early_end import raised_in_thread
 from robot_runner.core.events.measure import MeasureValue
-from robot_runner.core.links.commanded_topics import VELOCITIES
+from robot_runner.core.links.commanded_topics import TWISTS
 from robot_runner.core.links.connect import connect_robot, is_simulation, robot_namespace
 from robot_runner.core.links.graph_names import GraphNeed, full_name, missing
 from robot_runner.core.links.robot import RobotLink
@@ -314,7 +314,7 @@ class SteeredSystem(RobotSystem):
         fix = "Start the robot's bringup, or correct the plugin's namespace."
         yield GraphNeed.published(self.odometry_topic, ODOMETRY, is_sole=self.sole_control, fix=fix)
         for topic in self.commands:
-            yield GraphNeed.subscribed(topic, *sorted(VELOCITIES), is_sole=self.sole_control, fix=fix)
+            yield GraphNeed.subscribed(topic, *sorted(TWISTS), is_sole=self.sole_control, fix=fix)
 
     def start_run(self, context: RobotRunnerContext) -> None:
         """Connect, and check that the robot answers and that no other node commands it."""
