@@ -21,7 +21,8 @@ from robot_runner.core.secret_names import (
 
 _OF_SECRETS = (
     "pw pass ssh_pass auth wifi_password apiKey PLUG_PW api_tokens wep_key0 client-key-data aws_secret_access_key psk "
-    "PrivateKey AccountKey _authToken wifi_pin2 WACHTWOORD X-Api-Key ansible_ssh_pass secrets password2"
+    "PrivateKey AccountKey _authToken wifi_pin2 WACHTWOORD X-Api-Key ansible_ssh_pass secrets password2 "
+    "contraseña CONTRASEÑA_WIFI senhaDoRobo"
 )
 _OF_OTHER_THINGS = (
     "author keyboard key compass bypass passed first_pass max_tokens tokens eos_token tokenizer password_file led_pin "

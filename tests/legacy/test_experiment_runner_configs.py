@@ -227,6 +227,26 @@ def test_a_factor_that_is_a_data_column_too_is_what_the_config_returns(
     assert any("'governor' is a factor and a data column" in warning for warning in executed.warnings)
 
 
+@pytest.mark.parametrize("shuffled", [True, False])
+@pytest.mark.parametrize("returned", ["study", "study.generate_experiment_run_table()"])
+def test_of_several_models_the_one_that_is_returned_tells_how_runs_are_ordered(
+    config: Callable[..., Path], returned: str, shuffled: bool
+) -> None:
+    table = f"""
+    def create_run_table_model(self):
+        sizes, orders = FactorModel("size", [1, 2, 3, 4, 5]), FactorModel("order", ["random", "sorted"])
+        study = RunTableModel([sizes, orders], shuffle={shuffled}, data_columns=["energy"])
+        RunTableModel([sizes], shuffle={not shuffled}, data_columns=["time", "order"])
+        return {returned}
+    """
+    experiment = prepare(config(table=table), {}).experiment
+    assert experiment is not None
+    model = experiment.model
+    assert (model.shuffle, [each.name for each in model.factors]) == (shuffled, ["size", "order"])
+    sizes = [run.combination["size"] for run in model.plan()]
+    assert (sizes != sorted(sizes)) is shuffled
+
+
 @pytest.mark.long
 def test_rows_that_a_config_shuffles_itself_come_in_the_recorded_order(
     config: Callable[..., Path], execute: Callable[..., Executed]

@@ -10,11 +10,14 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from robot_runner.core.design.factor import Factor
+from robot_runner.core.design.listed_runs import ListedRun, ListedRunTableModel
 from robot_runner.core.design.watched_combination import WatchedCombination
 from robot_runner.legacy.run_data import WatchedRow, unwatched
+from robot_runner.legacy.run_tables import EarlierDesign
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
 CELLS = {"__run_id": "run_0", "size": 10, "language": "c", "seconds": " "}
 
@@ -85,6 +88,19 @@ def test_what_is_written_or_asked_for_by_its_name_reads_nothing_else(row: Watche
 
 def test_a_factor_that_counts_runs_is_none_that_has_to_be_read(read: list[str]) -> None:
     names = ["run_number", "runs_per_variation", "nr_of_runs", "rep", "Iterations", "runtime", "report", "speed"]
+    treatments = [range(1, 4), range(30), [1], ["r1", "r2"], ["0", "1"], *([[1, 2]] * 3)]
+    assert counting(dict(zip(names, treatments, strict=True))) == tuple(names[:5])
     combination = WatchedCombination(dict.fromkeys(names, 1), read.append)
-    WatchedRow(dict.fromkeys(names, 1), {name: name for name in names}, combination)
+    WatchedRow(dict.fromkeys(names, 1), {name: name for name in names}, combination, names[:5])
     assert read == names[:5]
+
+
+@pytest.mark.parametrize("treatments", [[100, 1000], [1, 10, 100], ["few", "many"], [1, 1.2], [2, 3]])
+def test_a_factor_that_is_only_called_like_a_counter_has_to_be_read(treatments: list[Any]) -> None:
+    assert counting({"iterations": treatments, "run_number": [1, 2]}) == ("run_number",)
+
+
+def counting(factors: dict[str, Sequence[Any]]) -> tuple[str, ...]:
+    made = [Factor(name, treatments) for name, treatments in factors.items()]
+    run = ListedRun("run_0", {factor.name: factor.treatments[0] for factor in made})
+    return EarlierDesign(ListedRunTableModel(made, [run]), {name: name for name in factors}, (*factors,), ()).counting

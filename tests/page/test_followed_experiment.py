@@ -14,7 +14,7 @@ from robot_runner.core.execution import experiment_status
 from robot_runner.core.execution.experiment_status import read_status
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.lock import Holder
-from robot_runner.page import followed_experiment, found_experiments, sampled_curves
+from robot_runner.page import followed_experiment, followed_table, found_experiments, sampled_curves
 from robot_runner.page.followed_experiment import FollowedExperiment
 from robot_runner.page.followed_table import JournalTail
 from robot_runner.page.found_experiments import FoundExperiments, id_of
@@ -44,9 +44,13 @@ def end(run: str, energy: float | None, *, status: str = "done", doubts: tuple[s
 @pytest.fixture
 def root(tmp_path: Path) -> Path:
     """Return an experiment of two tasks with two runs each, none of which was executed."""
-    folder = experiment_folders.two_tasks(tmp_path / "trial", (870.0, 872.0), (834.0, 836.0)).root
-    table = (folder / "run_table.csv").read_text().splitlines()
-    (folder / "run_table.csv").write_text("\n".join([table[0], *table[1:]]) + "\n")
+    return written(experiment_folders.two_tasks(tmp_path / "trial", (870.0, 872.0), (834.0, 836.0)).root)
+
+
+def written(folder: Path) -> Path:
+    """Have the journal say that the table on disk is as new as its records."""
+    with (folder / "journal.jsonl").open("a") as journal:
+        journal.write(line("table_written"))
     return folder
 
 
@@ -89,6 +93,25 @@ def test_records_reach_rows_means_and_findings(root: Path) -> None:
     assert parts["findings"]["last"][-1]["problem"] == "it is odd"
 
 
+@pytest.mark.parametrize("is_long", [False, True])
+def test_runs_that_ended_after_the_table_was_written_last_are_told_to_who_comes_later(
+    root: Path, monkeypatch: pytest.MonkeyPatch, is_long: bool
+) -> None:
+    with (root / "journal.jsonl").open("a") as journal:  # as beside an execution, and as a kill leaves it
+        journal.write(begin("r_1") + end("r_1", 900.0, doubts=("it was at its limit",)))
+        journal.write(begin("r_2") + end("r_2", None, status="failed"))
+    if is_long:  # it takes several looks
+        monkeypatch.setattr(followed_table, "_AT_ONCE", 400)
+    followed = FollowedExperiment(root)
+    parts = settled(followed)
+    parts |= followed.look()
+    rows = [row[1:3] + row[4:] for row in followed.rows(0, 2)["rows"]]
+    assert rows == [["r_1", "done", [900.0], ["Energy"]], ["r_2", "failed", [None], []]]
+    cells = next(each for each in parts["means"] if each["factor"] == "Task")["rows"][0]["cells"]
+    assert cells == [[1, 900.0, None]]
+    assert read_status(root).failed == 1
+
+
 @pytest.fixture
 def held(monkeypatch: pytest.MonkeyPatch) -> None:
     """Have every experiment be executed by somebody: no process sees the locks that are its own."""
@@ -110,8 +133,7 @@ def test_measures_that_are_no_numbers_have_no_means(tmp_path: Path) -> None:
     rows = [("a", 1.0, True, "left"), ("b", 2.0, False, "right")]
     measures = {"Energy": "J", "Success": "", "Side": ""}
     folder = experiment_folders.Folder(tmp_path / "trial", {"Task": ["a", "b"]}, rows, measures)
-    folder.write()
-    followed = FollowedExperiment(folder.root)
+    followed = FollowedExperiment(written(folder.write()))
     settled(followed)
     [means] = followed.snapshot()["means"]
     assert [each["name"] for each in means["measures"]] == ["Energy"]

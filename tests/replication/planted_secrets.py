@@ -118,6 +118,9 @@ def _python() -> Iterator[Planted]:
         ("header with a key", 'HEADERS = {"Accept": "*/*", "X-Api-Key": "§"}'),
         ("header with a basic login", 'LOGIN = {"Authorization": "Basic §"}', "base64"),
         ("Wachtwoord", 'WACHTWOORD = "§"', "word"),
+        ("mail server", 'def mail(smtp): smtp.login("ada@lab.example", "§")', "word"),
+        ("libpq", 'def runs(psycopg): return psycopg.connect("host=db user=ada password=§ dbname=runs")', "word"),
+        ("Contraseña in Python", 'contraseña_wifi = "§"', "word"),
     )  # fmt: skip
     halves = marker("pieces of a string")
     pieces = f'API_TOKEN = (\n    "{halves[:6]}"\n    "{halves[6:]}"\n)'
@@ -134,6 +137,7 @@ def _yaml() -> Iterator[Planted]:
         ("Ansible", "ansible_ssh_pass: §", "word"),
         ("compose environment", "environment:\n  - POSTGRES_PASSWORD=§", "word"),
         ("parameters of a node", "bridge:\n  ros__parameters:\n    api_token: §"),
+        ("contraseña in YAML", "contraseña: §", "word"),
         ("block scalar", "vault:\n  passphrase: |\n    §", "word"),
         ("comment in YAML", "# until May the token was §"),
         ("kubeconfig's token", "users:\n- name: ada\n  user:\n    token: §"),

@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import zipfile
+from importlib import metadata
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -138,6 +139,43 @@ def test_a_wheel_of_a_local_package_can_be_imported_elsewhere(tmp_path):
         check=True,
     )
     assert answer.stdout.startswith(str(tmp_path / "site"))
+
+
+def _editable(site: Path, project: Path, notes: dict[str, str]) -> InstalledDistribution:
+    """Write what an editable installation of version 0.1 of `lab-tools` leaves, and return it."""
+    files = {"METADATA": "Name: lab-tools\nVersion: 0.1\n", "WHEEL": "Tag: py3-none-any\n"}
+    files["direct_url.json"] = json.dumps({"url": project.as_uri(), "dir_info": {"editable": True}})
+    files = {f"lab_tools-0.1.dist-info/{name}": text for name, text in files.items()} | notes
+    files["lab_tools-0.1.dist-info/RECORD"] = "".join(f"{name},,\n" for name in files)
+    for name, text in files.items():
+        (site / name).parent.mkdir(parents=True, exist_ok=True)
+        (site / name).write_text(text, encoding="utf-8")
+    distribution = metadata.PathDistribution(site / "lab_tools-0.1.dist-info")
+    return InstalledDistribution("lab-tools", "0.1", distribution)
+
+
+@pytest.mark.parametrize("has_finder", [False, True])
+def test_an_editable_package_whose_modules_have_other_names_is_packed_with_its_code(tmp_path, monkeypatch, has_finder):
+    project = tmp_path / "lab"
+    for name in ("labtools/parts/__init__.py", "labtools/__init__.py", "labtools/data.csv", "grip.py", "setup.py"):
+        (project / name).parent.mkdir(parents=True, exist_ok=True)
+        (project / name).write_text("", encoding="utf-8")
+    (project / "tests").mkdir()
+    (project / "tests/__init__.py").touch()
+    notes = {"_lab_tools.pth": f"{project}\n"}  # as hatchling, flit and uv write it, without a list of modules
+    if has_finder:  # as setuptools does where the code lies beside other files
+        mapping = {"labtools": str(project / "labtools"), "grip": str(project / "grip")}
+        notes = {
+            "__editable__.lab_tools-0.1.pth": "import __editable___lab_tools_0_1_finder as it; it.install()",
+            "__editable___lab_tools_0_1_finder.py": f"MAPPING: dict[str, str] = {mapping!r}\n",
+            "lab_tools-0.1.dist-info/top_level.txt": "labtools\ngrip\n",
+        }
+    code = [name for name in wheel_of(_editable(tmp_path / "site", project, notes)) if "dist-info" not in name]
+    assert code == ["grip.py", "labtools/__init__.py", "labtools/data.csv", "labtools/parts/__init__.py"]
+    monkeypatch.syspath_prepend(project)
+    monkeypatch.setattr(environment, "editable_folders", lambda: {project: "lab-tools"})
+    assert environment.owners_of("labtools") == environment.owners_of("grip") == ["lab-tools"]
+    assert environment.owners_of("nobodys") == ["nobodys"]
 
 
 @pytest.mark.long

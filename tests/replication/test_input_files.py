@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import hashlib
 import shutil
+import zipfile
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -224,6 +225,106 @@ def test_a_program_of_the_users_own_is_repeated_with_what_it_reads_and_may_write
         assert "The results are identical" in answer.out
     written = [path.read_text() for path in elsewhere.rglob("log.txt")]
     assert [text for text in written if "planned" in text] == ["planned\n" * 2]
+
+
+_OF_A_CALLBACK = """
+import subprocess
+from pathlib import Path
+
+from robot_runner import ExperimentConfig, Factor, RunTableModel
+from robot_runner.plugins import InputFile
+
+PROGRAM = Path(__file__).parent / "tools/plan.sh"
+
+
+class RobotRunnerConfig(ExperimentConfig):
+    experiment_name = "trial"
+    results_output_path = "results"
+    licence = "CC0-1.0"
+
+    def input_files(self):
+        return [InputFile(PROGRAM)]
+
+    def populate_run_data(self, context):
+        done = subprocess.run([PROGRAM, context.combination["Map"]], capture_output=True, text=True, check=True)
+        return {"Places": int(done.stdout)}
+
+    def create_run_table(self):
+        return RunTableModel([Factor("Map", ["3", "5"])], data_columns=["Places"])
+"""
+
+
+@pytest.mark.long
+def test_a_program_beside_the_config_that_a_callback_executes_can_be_executed_again(
+    robot_runner: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    study, elsewhere = tmp_path / "study", tmp_path / "elsewhere"
+    for folder in (study / "tools", elsewhere):
+        folder.mkdir(parents=True)
+    (study / "tools/plan.sh").write_text('#!/bin/sh\necho "$1"\n')
+    (study / "tools/plan.sh").chmod(0o755)
+    (study / "study.py").write_text(_OF_A_CALLBACK)
+    monkeypatch.chdir(study)
+    assert robot_runner("run", "study.py").code == 0
+    answer = robot_runner("pack", "--no-wheels", "--no-hashes", "--to", elsewhere / "trial.zip")
+    assert answer.code == 0, answer.out + answer.err
+    shutil.move(study / "results/trial", elsewhere / "folder")
+    monkeypatch.chdir(elsewhere)
+    shutil.rmtree(study)
+    with zipfile.ZipFile("trial.zip") as archive:
+        modes = {each.filename: each.external_attr >> 16 for each in archive.infolist()}
+    assert (modes["config/tools/plan.sh"], modes["config/study.py"]) == (0o100755, 0o100644)
+    for original in ("trial.zip", "folder"):
+        answer = robot_runner("replicate", original, "--to", f"of_{original}", "--yes", "--environment", "here")
+        assert answer.code == 0, answer.out + answer.err
+        assert "The results are identical" in answer.out
+
+
+_OF_PATHS = """
+from pathlib import Path
+
+from robot_runner import ExperimentConfig, Factor, RunTableModel
+from robot_runner.plugins import InputFile
+
+MAPS = Path(__file__).parent / "maps"
+
+
+class RobotRunnerConfig(ExperimentConfig):
+    experiment_name = "trial"
+    results_output_path = "results"
+    licence = "CC0-1.0"
+
+    def input_files(self):
+        return [InputFile(MAPS)]
+
+    def populate_run_data(self, context):
+        return {"Places": len(context.combination["Map"].read_text())}
+
+    def create_run_table(self):
+        return RunTableModel([Factor("Map", [MAPS / "hall.csv", MAPS / "lab.csv"])], data_columns=["Places"])
+"""
+
+
+@pytest.mark.long
+def test_treatments_that_are_paths_beside_the_config_are_those_beside_the_copy_of_it(
+    robot_runner: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    study, elsewhere = tmp_path / "study", tmp_path / "elsewhere"
+    for folder in (study / "maps", elsewhere):
+        folder.mkdir(parents=True)
+    (study / "maps/hall.csv").write_text("a")
+    (study / "maps/lab.csv").write_text("a,b")
+    (study / "study.py").write_text(_OF_PATHS)
+    monkeypatch.chdir(study)
+    assert robot_runner("run", "study.py").code == 0
+    answer = robot_runner("pack", "--no-wheels", "--no-hashes", "--to", elsewhere / "trial.zip")
+    assert answer.code == 0, answer.out + answer.err
+    monkeypatch.chdir(elsewhere)
+    shutil.rmtree(study)
+    answer = robot_runner("replicate", "trial.zip", "--yes", "--environment", "here")
+    assert answer.code == 0, answer.out + answer.err
+    assert "The results are identical: every value of 2 runs" in answer.out
+    assert "other runs" not in answer.out + answer.err
 
 
 def test_what_a_script_under_test_imports_is_not_asked_of_the_python_that_executes_the_experiment(

@@ -37,6 +37,7 @@ def _clean(text, *, loose=True, secrets=(), home=None):
         ("sshpass --password hunter2 pi", "sshpass --password REDACTED pi"),
         ("opened /home/ada/maps/lab.pgm", "opened ~/maps/lab.pgm"),
         ("file:///Users/ada/lab", "file://~/lab"),
+        ("opened /mnt/c/Users/ada/maps/lab.pgm", "opened ~/maps/lab.pgm"),  # Windows' home, in its Linux
         ("cwd=/ro" + "ot/study", "cwd=~/study"),
     ],
 )
@@ -99,6 +100,39 @@ def test_a_mere_word_that_a_sentence_begins_with_is_doubtful():
     assert _clean(text) == text
     found = Redactor.knowing((), home=None).find(text.encode(), grammar_of(Path("log.txt")))
     assert [each.is_sure for each in found] == [False]
+
+
+@pytest.mark.parametrize(
+    ("code", "values"),
+    [
+        ('passwords = ["hunter2", "swordfish"]', ["hunter2", "swordfish"]),
+        ('robot_password: dict = {"pi": "hunter2", "arm": input()}', ["hunter2"]),
+        ('log_in(passwords=["hunter2"])', ["hunter2"]),
+        ('SECRETS = ["LAB_TOKEN", "MQTT_PASS"]', []),
+        ('credentials = {"user": "ada", "password": os.environ["LAB_PASS"]}', []),
+        ('tokens = ["the", "robot"]', []),
+    ],
+)
+def test_texts_that_a_secret_name_lists_are_doubtful(code, values):
+    found = Redactor.knowing((), home=None).find(code.encode(), Grammar.CODE, is_file=True)
+    assert [code[each.start + 1 : each.end - 1] for each in found] == values
+    assert not any(each.is_sure for each in found)
+
+
+@pytest.mark.parametrize(
+    ("code", "cleaned"),
+    [
+        ('connect("host=db password=hunter2 dbname=runs")', 'connect("host=db password=REDACTED dbname=runs")'),
+        ('connect(f"host={db} password=hunter2")', 'connect(f"host={db} password=REDACTED")'),
+        ('smtp.login("ada@lab.example", "hunter2")', 'smtp.login("ada@lab.example", "REDACTED")'),
+        ('contraseña = "hunter2"', 'contraseña = "REDACTED"'),
+        ('connect(f"password={password} token=%s")', 'connect(f"password={password} token=%s")'),
+        ("connect(password=password)", "connect(password=password)"),
+    ],
+)
+def test_a_password_in_a_text_of_code_is_replaced_and_an_expression_stays(code, cleaned):
+    redactor, chunks = Redactor.knowing((), home=None), [code.encode()]
+    assert b"".join(redactor.cleaned(chunks, Hits(), Grammar.CODE)).decode() == cleaned
 
 
 def test_a_private_key_goes_whole():

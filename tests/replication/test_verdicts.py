@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import pytest
@@ -318,6 +319,36 @@ def test_results_are_not_identical_where_runs_of_the_original_have_failed_here(t
     assert "identical in the one run that can be compared, and 2 runs of the original are not done" in (
         verdict.measures[0].sentence
     )
+
+
+@pytest.mark.parametrize("others", [(1.0, 2.0), (1.0, 2.1)])
+def test_runs_that_whoever_replicates_has_excluded_are_told_and_not_passed_over(tmp_path, others):
+    original = two_tasks(tmp_path / "original", (1.0, 2.0), (3.0, 4.0)).root
+    again = two_tasks(tmp_path / "again", others, (30.0, 4.0), statuses={}).root
+    with Journal(again / "journal.jsonl") as journal:
+        journal.append("excluded", run="r_3", reason="odd")
+    found = json.loads(json_of_comparison(compare(original, again, bound="5%")))
+    assert identical_values(again, original)["Energy"].lacking == 0  # what the original excludes is its own
+    same = identical_values(original, again)
+    assert same == {"Energy": Sameness(3, 3 if others == (1.0, 2.0) else 2, lacking=1)}
+    verdict = reached_verdict([_measure("Energy")], {}, same, margins_of({"Energy": "J"}, {}, []), found)
+    assert verdict.conclusion is Conclusion.UNDECIDED
+    assert "1 run of the original is not done here, or excluded." in verdict.measures[0].sentence
+
+
+def test_the_same_values_of_other_treatments_are_not_identical(tmp_path):
+    measured = ((1.0, 2.0), (3.0, 4.0))
+    original = two_tasks(tmp_path / "original", *measured).root
+    again = two_tasks(tmp_path / "again", *measured).root
+    table = again / "run_table.csv"
+    swapped = {"Video": "Network", "Network": "Video"}
+    table.write_text(re.sub("Video|Network", lambda task: swapped[task[0]], table.read_text("utf-8")), "utf-8")
+    assert identical_values(original, again) == {"Energy": Sameness(4, 0)}
+    found = json.loads(json_of_comparison(compare(original, again, bound="5%")))
+    verdict = reached_verdict(
+        [_measure("Energy")], {}, identical_values(original, again), margins_of({"Energy": "J"}, {}, []), found
+    )
+    assert verdict.conclusion is not Conclusion.IDENTICAL
 
 
 def test_runs_that_ended_after_the_table_was_written_last_are_compared(tmp_path):

@@ -53,6 +53,7 @@ OTHERS: dict[str, str] = {
             "replication/distributions.py: wheel_name",
             "replication/distributions.py: write_wheel",
             "replication/distributions.py: _editable_code",
+            "replication/distributions.py: _mapped",
             "replication/distributions.py: _path_entries",
             "replication/environment.py: _imports_of",
         ),

@@ -8,6 +8,7 @@ import os
 import re
 import secrets
 import time
+import unicodedata
 from collections.abc import Iterable, Mapping
 from functools import lru_cache
 from typing import Any
@@ -24,7 +25,7 @@ _WORD = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|[0-9]+|[^\W\d_]+")
 #: Words that mean a secret anywhere in a name, in several languages.
 _STRONG = _words(
     "password passwd passphrase passcode pwd pw psk secret credential apikey authtoken accesskey privatekey "
-    "secretkey presharedkey passwort kennwort wachtwoord contrasena contraseña senha motdepasse mdp"
+    "secretkey presharedkey passwort kennwort wachtwoord contrasena senha motdepasse mdp"
 )
 #: Words that mean one, unless they are about the tokens of a text, or a pass through something.
 _COMMON = frozenset({"token", "pass"})
@@ -57,7 +58,8 @@ def is_secret_name(name: str) -> bool:
         >>> [is_secret_name(each) for each in ("wifi_password", "apiKey", "PLUG_PW", "max_tokens", "password_file")]
         [True, True, True, False, False]
     """
-    words = [each.casefold() for each in _WORD.findall(name)]
+    plain = "".join(each for each in unicodedata.normalize("NFD", name) if not unicodedata.combining(each))
+    words = [each.casefold() for each in _WORD.findall(plain)]  # without accents: contraseña is one word
     while words and words[-1].isdigit():
         words.pop()
     if not words or words[-1] in _ABOUT:

@@ -289,7 +289,7 @@ class EarlierExperiment:
             names = {column: design.names[column] for column in design.factors}
             row |= {column: value_of(planned[name]) for column, name in names.items()}
             row |= dict.fromkeys(design.data_columns, MISSING)
-            watched = WatchedRow(row, names, context.combination)
+            watched = WatchedRow(row, names, context.combination, design.counting)
             self._context = EarlierContext(watched, context.run_number, context.run_folder)
         elif isinstance(known := self._context.run_variation, WatchedRow):
             known.combination = context.combination  # the combination of before_run belongs to another process

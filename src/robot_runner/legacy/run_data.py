@@ -5,8 +5,7 @@ Only measures are published, each under its own name, so that no value ends up i
 
 from __future__ import annotations
 
-import re
-from collections.abc import Container, Iterator, Mapping
+from collections.abc import Container, Iterable, Iterator, Mapping
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any, SupportsIndex
 
@@ -19,9 +18,6 @@ from robot_runner.legacy.run_tables import PROGRESS, EarlierDesign, is_blank, va
 if TYPE_CHECKING:
     from _collections_abc import dict_items, dict_values
 
-#: Robot Runner had no repetitions: configs had a factor that counts them, whose treatment need not be read.
-_COUNTS_RUNS = re.compile(r"(?i)(.*_)?(rep|repeat|repetition|replication|run|iter|iteration|trial|round)s?(_.*)?")
-
 
 class WatchedRow(dict[Any, Any]):
     """A row of the run table that records in the run's combination which treatments a callback reads.
@@ -32,16 +28,23 @@ class WatchedRow(dict[Any, Any]):
         row: its cells.
         factors: the name of each factor in the combination, by its column.
         combination: the run's; it records which treatments were read.
+        counting: the columns of factors that count runs, whose treatments need not be read.
 
     Attributes:
         combination: the combination that records reads from now on.
     """
 
-    def __init__(self, row: Mapping[Any, Any], factors: Mapping[Any, str], combination: Mapping[str, Any]) -> None:
+    def __init__(
+        self,
+        row: Mapping[Any, Any],
+        factors: Mapping[Any, str],
+        combination: Mapping[str, Any],
+        counting: Iterable[Any] = (),
+    ) -> None:
         super().__init__(row)
         self._factors = factors
         self.combination = combination
-        self._read(*(column for column in factors if _COUNTS_RUNS.fullmatch(str(column))))
+        self._read(*counting)
 
     def __getitem__(self, column: Any) -> Any:
         self._read(column)

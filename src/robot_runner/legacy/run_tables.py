@@ -115,6 +115,17 @@ _WHERE = "run table"
 _RUN_ID, _DONE = PROGRESS
 
 
+#: Robot Runner had no repetitions: configs have a factor that counts them, called so, whose treatments are numbered.
+_COUNTER = re.compile(r"(?i)(.*_)?(rep|repeat|repetition|replication|run|iter|iteration|trial|round)s?(_.*)?")
+
+
+def _counts_runs(column: Any, treatments: Sequence[Any]) -> bool:
+    """Return whether a factor counts runs, from 0 or 1 on; `iterations` of 100 and 1000 are what is varied."""
+    numbers = sorted(int(found[0]) for each in treatments if (found := re.search(r"(?<![.0-9])[0-9]+$", str(each))))
+    is_counted = numbers in (list(range(len(treatments))), list(range(1, len(treatments) + 1)))
+    return is_counted and _COUNTER.fullmatch(str(column)) is not None
+
+
 @dataclass(frozen=True, slots=True)
 class EarlierDesign:
     """The run table of a config.
@@ -130,6 +141,12 @@ class EarlierDesign:
     names: Mapping[Any, str]
     factors: tuple[Any, ...]
     data_columns: tuple[Any, ...]
+
+    @property
+    def counting(self) -> tuple[Any, ...]:
+        """The columns of factors that count runs."""
+        treatments = {factor.name: factor.treatments for factor in self.model.factors}
+        return tuple(column for column in self.factors if _counts_runs(column, treatments[self.names[column]]))
 
     @property
     def spelling(self) -> TableSpelling:
@@ -152,7 +169,10 @@ def design_of(session: Session, returned: Any, config: Any, more_columns: Sequen
     if isinstance(returned, RunTableModel):
         returned = returned.generate_experiment_run_table()
     rows = _checked_rows(returned)
-    model = session.models[-1] if session.models else None
+    given = set(map(id, rows))
+    # Of several models, the last one that made any of these rows; a config that copies them leaves the last one made.
+    session.model = next((each for each in reversed(session.models) if given & set(map(id, each.made))), session.model)
+    model = session.model
     if model is not None:
         _check_names(model)
     factors, data_columns = _columns_of(rows, model)

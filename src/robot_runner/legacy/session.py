@@ -47,6 +47,7 @@ class Session:
         subscriptions: its callbacks, in the order of subscription.
         findings: from loading it, except errors that are raised at once.
         models: the run-table models that it made, in order.
+        model: the one whose runs are executed; until that is known, the last one.
         context: the context of the run that is being executed, or None.
         config_class: the config class, once the file has been executed.
         estimated: the columns whose values are estimates by a model, not readings of a meter.
@@ -59,6 +60,7 @@ class Session:
     subscriptions: list[EarlierSubscription] = field(default_factory=list)
     findings: list[Finding] = field(default_factory=list)
     models: list[Any] = field(default_factory=list)
+    model: Any = None
     context: RobotRunnerContext | None = None
     config_class: type = object
     estimated: set[str] = field(default_factory=set)

@@ -63,12 +63,11 @@ class FollowedExperiment:
         self._slots: dict[str, int] = {}
         self._curves: dict[str, RunCurves] = {}
         self._signs: tuple[Any, ...] = ()
-        self._table_is_due = True
+        self._table_is_due, self._has_caught_up = True, False
         self._refused_table = (0, 0)
         self._since_table: dict[str, Mapping[str, Any]] = {}
         self._robot: str | None = None
         self._left_out: set[int] = set()
-        self._has_caught_up = False
 
     @property
     def is_behind(self) -> bool:
@@ -123,6 +122,8 @@ class FollowedExperiment:
             self._history.read_table(self._files)
             self._has_caught_up = True
             self._signs = ()
+            if self._since_table or "table" not in parts:  # the file was older than the end of the journal
+                parts |= self._read_table()
         if (records and not self._tail.is_behind) or signs != self._signs or parts:
             self._signs = signs
             self._tell(parts)
@@ -154,18 +155,18 @@ class FollowedExperiment:
         self._history.take(record)
         kind = record["kind"]
         self._take_doing(kind, record)
+        if kind == "attempt_finished":
+            self._since_table[record["run"]] = record
+            self.table.doubt(record)
+        elif kind == "table_written":
+            self._since_table.clear()
         if not self._has_caught_up:
-            if kind == "attempt_finished":
-                self.table.doubt(record)
             return
         self._history.settle()
         if kind == "attempt_started":
             self.table.begin(record["run"])
         elif kind == "attempt_finished":
-            self._since_table[record["run"]] = record
             self.table.end(record)
-        elif kind == "table_written":
-            self._since_table.clear()
         self._table_is_due |= kind in _NEW_TABLES
 
     def _take_doing(self, kind: str, record: Mapping[str, Any]) -> None:

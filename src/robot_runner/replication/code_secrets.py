@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import ast
 import io
+import re
 import tokenize
 from collections.abc import Iterable, Iterator
 from itertools import accumulate
 
 from robot_runner.core.config.source import parsed
 from robot_runner.core.secret_names import is_placeholder, is_secret_name
-from robot_runner.replication.named_secrets import Grammar, named_secrets
+from robot_runner.replication.named_secrets import Grammar, is_secret_value, named_secrets
 from robot_runner.replication.secret_kinds import Found
 
 _SHORTEST = 5
@@ -49,7 +50,33 @@ def found_in_code(code: bytes) -> Iterator[Found]:
             start = starts[node.lineno - 1] + node.col_offset
             end = starts[node.end_lineno - 1] + node.end_col_offset
             yield Found(start, end, "password", start, _instead_of(node, code[start:end]))
+    for node in _listed_values(text):
+        start, end = (
+            starts[line - 1] + column
+            for line, column in ((node.lineno, node.col_offset), (node.end_lineno or 0, node.end_col_offset or 0))
+        )
+        yield Found(start, end, "what may be a password", start, _instead_of(node, code[start:end]), is_sure=False)
+    yield from _in_texts(text, code, starts)
     yield from _in_comments(text, code, starts)
+
+
+#: In a text of the code, such as one that names a database: `host=db user=ada password=X`.
+_SETTING = re.compile(rb"(?<![\w.?&-])(?P<name>[A-Za-z_][\w.-]*)=(?P<value>[^\s\"'`,;&<>\\(){}\[\]%$]{4,})")
+
+
+def _in_texts(text: str, code: bytes, starts: list[int]) -> Iterator[Found]:
+    try:
+        found = [node for node in ast.walk(parsed(text)) if isinstance(node, ast.Constant | ast.JoinedStr)]
+    except (SyntaxError, ValueError, RecursionError, MemoryError):
+        return
+    for node in found:
+        is_text = isinstance(node, ast.JoinedStr) or isinstance(getattr(node, "value", None), str)
+        if is_text and node.end_lineno is not None and node.end_col_offset is not None:
+            start = starts[node.lineno - 1] + node.col_offset
+            for match in _SETTING.finditer(code, start, starts[node.end_lineno - 1] + node.end_col_offset):
+                name = match["name"].decode("ascii", "replace")
+                if is_secret_name(name) and is_secret_value(match["value"], name):
+                    yield Found(*match.span("value"), "password", match.start())
 
 
 def _instead_of(node: ast.expr, source: bytes) -> bytes:
@@ -68,6 +95,25 @@ def _secret_values(text: str) -> Iterator[ast.expr]:
         for target, value in _pairs(node):
             if isinstance(value, ast.expr) and is_secret_name(_name_of(target)) and _is_secret(value):
                 yield value
+
+
+def _listed_values(text: str) -> Iterator[ast.expr]:
+    """Yield the texts in a list, or in a mapping without a secret's name in it, that has a secret's name."""
+    try:
+        tree = parsed(text)
+    except (SyntaxError, ValueError, RecursionError, MemoryError):
+        return
+    for target, value in (pair for node in ast.walk(tree) for pair in _pairs(node)):
+        listed: list[ast.expr] = []
+        match value:
+            case ast.List(elts=values) | ast.Set(elts=values) | ast.Tuple(elts=values):
+                listed = values
+            case ast.Dict(keys=keys, values=values) if not any(is_secret_name(_name_of(key)) for key in keys):
+                listed = values
+            case _:
+                pass
+        if is_secret_name(_name_of(target)):  # which may also list the names of secrets
+            yield from (each for each in listed if _is_secret(each) and not is_secret_name(_text_of(each)))
 
 
 def _is_secret(value: ast.expr) -> bool:

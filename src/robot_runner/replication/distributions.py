@@ -7,6 +7,7 @@ tools that may have to be downloaded.
 
 from __future__ import annotations
 
+import ast
 import base64
 import csv
 import hashlib
@@ -32,6 +33,12 @@ _NOT_FOR_USERS = frozenset({"dev", "develop", "doc", "docs", "lint", "test", "te
 _WRITTEN_BY_INSTALLERS = frozenset(
     {"INSTALLER", "RECORD", "REQUESTED", "direct_url.json", "uv_build.json", "uv_cache.json"}
 )
+#: What lies beside the code of a package in a project's folder.
+_NOT_OF_CODE = frozenset(
+    {"benchmarks", "build", "conftest", "dist", "doc", "docs", "examples", "noxfile", "setup", "test", "tests"}
+)
+#: The module by which setuptools finds the code of an editable package that lies in no folder of its own.
+_FINDER = re.compile(r"__editable___\w+_finder\.py")
 _TAG = re.compile(r"^Tag: (\S+)$", re.MULTILINE)
 
 
@@ -208,14 +215,29 @@ def _urlsafe(sha256: str) -> str:
 
 
 def _editable_code(distribution: InstalledDistribution) -> Iterator[tuple[str, Path]]:
-    """Yield the package's code in the folders that the installed `.pth` file names."""
+    """Yield the package's code: in the folders that its `.pth` file names, and where setuptools' finder has it."""
     listed = (distribution.distribution.read_text("top_level.txt") or "").split()
     announced = {point.module.partition(".")[0] for point in distribution.distribution.entry_points}
-    tops = sorted({*listed, *announced, re.sub(r"[-.]+", "_", distribution.name)})
-    for root in _path_entries(distribution):
-        for path in (each for top in tops for each in (root / f"{top}.py", *sorted((root / top).rglob("*")))):
+    known = {*listed, *announced, re.sub(r"[-.]+", "_", distribution.name)}
+    places = [
+        (top, root / top)
+        for root in _path_entries(distribution)
+        for top in sorted(known if listed else known | set(_modules_in(root)))
+    ]
+    for module, place in (*places, *_mapped(distribution)):
+        name = module.replace(".", "/")
+        for path in (place.with_name(f"{place.name}.py"), *sorted(place.rglob("*"))):
             if path.is_file() and not path.is_symlink() and path.suffix != ".pyc":
-                yield path.relative_to(root).as_posix(), path
+                inside = path.relative_to(place).as_posix() if place in path.parents else ""
+                yield f"{name}/{inside}" if inside else f"{name}.py", path
+
+
+def _modules_in(root: Path) -> Iterator[str]:
+    """Yield the modules of a folder of code, for a build backend that lists none; the folder may be the project's."""
+    for path in root.iterdir():
+        name = path.name.removesuffix(".py")
+        if name not in _NOT_OF_CODE and (path.suffix == ".py" or (path / "__init__.py").is_file()):
+            yield name
 
 
 def _path_entries(distribution: InstalledDistribution) -> Iterator[Path]:
@@ -223,3 +245,16 @@ def _path_entries(distribution: InstalledDistribution) -> Iterator[Path]:
         if path.suffix == ".pth":
             lines = Path(str(path.locate())).read_text(encoding="utf-8").splitlines()
             yield from (Path(line.strip()) for line in lines if line.startswith("/"))
+
+
+def _mapped(distribution: InstalledDistribution) -> Iterator[tuple[str, Path]]:
+    """Yield each module with its folder, or its file without the suffix, as the finder of setuptools has them."""
+    for path in distribution.distribution.files or ():
+        if _FINDER.fullmatch(path.name):
+            for node in ast.parse(Path(str(path.locate())).read_bytes()).body:
+                match node:
+                    case (
+                        ast.Assign(targets=[ast.Name(id="MAPPING")], value=ast.Dict() as value)
+                        | ast.AnnAssign(target=ast.Name(id="MAPPING"), value=ast.Dict() as value)
+                    ):
+                        yield from ((name, Path(place)) for name, place in ast.literal_eval(value).items())

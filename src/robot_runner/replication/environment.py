@@ -18,6 +18,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
+from robot_runner.core.config.local_modules import editable_folders
 from robot_runner.core.config.source import parsed
 from robot_runner.core.entry_points import entry_points
 from robot_runner.core.errors import Finding
@@ -253,7 +254,18 @@ def _parts(manifest: Mapping[str, Any], config: Path | None) -> Iterator[tuple[s
 
 def owners_of(module: str) -> list[str]:
     """Return the distributions of a top-level module; the module's own name if it is imported from a folder."""
-    return _owners().get(module) or [module]
+    return _owners().get(module) or _editable_owners(module) or [module]
+
+
+def _editable_owners(module: str) -> list[str]:
+    """Return the editable distribution with a module's code: many build backends do not note its modules."""
+    try:
+        spec = find_spec(module)
+    except (ImportError, ValueError):
+        return []
+    places = [*(spec.submodule_search_locations or ()), spec.origin or ""] if spec else []
+    parents = {parent for place in places for parent in Path(place).parents}
+    return [name for folder, name in editable_folders().items() if folder in parents]
 
 
 def imported_names(folder: Path) -> set[str]:

@@ -26,7 +26,8 @@ NAME_HINTS = (
     *(b"pass", b"pwd", b"pw", b"psk", b"secret", b"token", b"key", b"credential", b"auth", b"kennwort", b"wachtwoord"),
     *(b"contrase", b"senha", b"mdp", b"pin"),
 )
-_HINT = re.compile(rb"(?:" + b"|".join(NAME_HINTS) + rb")[\w.-]{0,64}", re.ASCII)
+#: As a name; a Spanish password has a letter that is not in ASCII.
+_HINT = re.compile(rb"(?:" + b"|".join(NAME_HINTS) + rb")(?:\xc3[\xb1\x91]|n\xcc\x83)?[\w.-]{0,64}", re.ASCII)
 _LONGEST_NAME = 64
 _LONGEST_LINE = 400
 #: The part of a name before a hint, matched on the reversed text: forwards, each word would be tried.
@@ -100,14 +101,14 @@ def named_secrets(block: bytes, grammar: Grammar) -> Iterator[Found]:
         start = first - (before.end() if before else 0)
         written = block[start:end].rstrip(b".-")
         if name := _secret_name(written):
-            begin = start + len(written) - len(name)
-            yield from _after(block, (begin, begin + len(name)), name, grammar)
+            begin, length = start + len(written) - len(name.encode()), len(name.encode())
+            yield from _after(block, (begin, begin + length), name, grammar)
 
 
 @lru_cache(maxsize=4096)
 def _secret_name(written: bytes) -> str:
     """Return a name without its prefix, as in `--password`; empty if it is not the name of a secret."""
-    name = written.lstrip(b".-").decode("ascii", "replace")
+    name = written.lstrip(b".-").decode("utf-8", "replace")
     return name if len(name) <= _LONGEST_NAME and is_secret_name(name) else ""
 
 
@@ -272,7 +273,7 @@ def _of_sentence(match: re.Match[bytes], name: str, start: int) -> Iterator[Foun
 
 def _judged(match: re.Match[bytes], group: str, name: str, begin: int) -> Iterator[Found]:
     value = match[group]
-    if _is_secret(value, name):
+    if is_secret_value(value, name):
         yield Found(*match.span(group), _WHAT, begin)
 
 
@@ -283,7 +284,8 @@ def _judged_number(match: re.Match[bytes], name: str, begin: int, grammar: Gramm
         yield Found(*match.span("number"), _WHAT, begin, replacement)
 
 
-def _is_secret(value: bytes, name: str) -> bool:
+def is_secret_value(value: bytes, name: str) -> bool:
+    """Return whether a value of a name that is a secret's is one, and not a placeholder, a path, or a version."""
     text = value.decode("utf-8", "replace")
     if is_placeholder(text) or len(text) > _LONGEST_SECRET or _VERSION.fullmatch(text):
         return False

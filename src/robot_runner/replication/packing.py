@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import shlex
 import zipfile
-from collections.abc import Callable, Container, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Container, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -15,6 +15,7 @@ from robot_runner.core.secret_names import forms_of, is_secret_name, secrets_of_
 from robot_runner.core.storage.cells import RunStatus
 from robot_runner.core.storage.executed_runs import edited_findings, ended_runs, unrecorded_findings
 from robot_runner.core.storage.guarded_files import open_to_read, read_text
+from robot_runner.core.storage.input_files import read_index
 from robot_runner.core.storage.layout import ExperimentFolder, home_folder
 from robot_runner.core.storage.lock import holder_of
 from robot_runner.core.storage.manifest import read_manifest
@@ -35,6 +36,7 @@ from robot_runner.replication.plain_zip import LARGEST_DIRECTORY, Progress, dire
 from robot_runner.replication.redaction import Redactor
 from robot_runner.replication.run_by_run import statuses_that_count
 from robot_runner.replication.sealing import Packing, Sealing
+from robot_runner.replication.unkept_files import unkept_files
 
 #: Bytes of the directory that are left for the files that packing adds.
 _ADDED = 1 << 16
@@ -113,6 +115,7 @@ def pack(
             rows=rows,
             run_folders=run_folders,
             chosen=chosen,
+            programs={f"config/{name}" for each in read_index(files.config) for name in each.get("programs", ())},
             environment=recorded,
             redactor=Redactor.knowing(secrets, home=home_folder(), replaces_doubtful=asked.doubtful == "replace"),
             archive=archive,
@@ -209,7 +212,7 @@ def _known_secrets(files: ExperimentFolder, manifest: Mapping[str, Any]) -> set[
 
 
 def _findings(
-    files: ExperimentFolder, manifest: Mapping[str, Any], rows: RunTableRows, stored: Container[str]
+    files: ExperimentFolder, manifest: Mapping[str, Any], rows: RunTableRows, stored: Collection[str]
 ) -> Iterator[Finding]:
     where = str(files.root)
     for factor, revisions in (manifest.get("revisions") or {}).items():
@@ -221,6 +224,7 @@ def _findings(
             yield Finding.warning(f"revisions of factor {factor!r}", problem, fix)
     if not any(files.config.glob("*.py")):
         yield Finding.warning(where, "there is no config: nobody can execute it again", "Add it to the folder config.")
+    yield from unkept_files(files, stored)
     if not files.report.exists():
         fix = f"Make one first: robot-runner report {shlex.quote(where)}"
         yield Finding.warning(where, "there is no report in it", fix)

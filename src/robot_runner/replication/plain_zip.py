@@ -55,7 +55,9 @@ class PlainZip:
         self._archive = zipfile.ZipFile(target, "x", allowZip64=True)
         self.stored: dict[str, StoredFile] = {}
 
-    def add(self, name: str, blocks: Iterable[bytes], *, size: int = 0, is_stored: bool = False) -> StoredFile:
+    def add(
+        self, name: str, blocks: Iterable[bytes], *, size: int = 0, is_stored: bool = False, is_program: bool = False
+    ) -> StoredFile:
         """Write a file block by block.
 
         Args:
@@ -63,11 +65,12 @@ class PlainZip:
             blocks: its contents.
             size: its approximate size, bytes: above 1 GiB it is written in the ZIP64 format.
             is_stored: whether to write it uncompressed.
+            is_program: whether it is executable where it is unpacked.
 
         Raises:
             OSError: a file cannot be read or written.
         """
-        entry = _entry(name, 0o100644)
+        entry = _entry(name, 0o100755 if is_program else 0o100644)
         is_stored = is_stored or name.casefold().endswith(_COMPRESSED)
         entry.compress_type = zipfile.ZIP_STORED if is_stored else zipfile.ZIP_DEFLATED
         entry._compresslevel = _LEVEL  # type: ignore[attr-defined] # noqa: SLF001 - public from Python 3.13 only

@@ -20,7 +20,7 @@ from robot_runner.core.execution.recovery import table_differences
 from robot_runner.core.secret_names import REDACTED, hidden_settings, is_same_setting, shown_settings
 from robot_runner.core.storage.declared_shapes import shape_findings
 from robot_runner.core.storage.guarded_files import make_experiment_folder, open_to_read
-from robot_runner.core.storage.input_files import copy_kept, missing_inputs, read_index
+from robot_runner.core.storage.input_files import copy_kept, let_programs_execute, missing_inputs, read_index
 from robot_runner.core.storage.journal import Journal
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.manifest import last_execution, read_manifest
@@ -35,6 +35,7 @@ from robot_runner.replication.differences import missing_modules
 from robot_runner.replication.distributions import canonical
 from robot_runner.replication.opening import open_package, unpack
 from robot_runner.replication.plain_zip import Progress
+from robot_runner.replication.run_by_run import is_same_treatment
 from robot_runner.replication.verification import Environment, refuse_faults, verify_package
 
 _UNPACKED = "package"
@@ -98,6 +99,8 @@ class Source:
         was_there = root.exists()
         with open_package(self.path) as package:
             unpack(package, root, progress)
+        with storage_errors(root, "written"):
+            let_programs_execute(root / "config", root / "config")
         if was_there:
             with open_package(root) as package:
                 refuse_faults(verify_package(package, progress))
@@ -293,7 +296,13 @@ def _settle_table(
     if (manifest.get("design") or {}).get("source") != "config":  # written by hand
         _put_table(experiment, rows)
         return []
-    if same_ids and not any(table_differences(files.run_table, plan, rows)):
+    moved = {
+        (run.run_id, name, str(there))
+        for place, run in enumerate(plan if same_ids else ())
+        for name, there in rows.combination(place).items()
+        if is_same_treatment(there, run.combination.get(name), files.config)
+    }
+    if same_ids and not any(table_differences(files.run_table, plan, rows, moved)):
         return []
     if has_deviations:
         problem = "with what is set, the config plans other runs than those of the original"

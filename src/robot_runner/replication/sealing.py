@@ -79,6 +79,7 @@ class Sealing:
         columns, rows: the run table's.
         run_folders: the run of each run folder in the package, by the folder's name, which ends with `/`.
         chosen: the files to pack.
+        programs: the names of those that are executable.
         redactor: replaces secrets.
         archive: the zip file.
         progress: called with the number of packed bytes and the total.
@@ -94,6 +95,7 @@ class Sealing:
     rows: RunTableRows
     run_folders: Mapping[str, str]
     chosen: Contents
+    programs: Collection[str]
     environment: RecordedEnvironment
     redactor: Redactor
     archive: PlainZip
@@ -121,7 +123,13 @@ class Sealing:
             end = self._done + file.size
             if (blocks := self.cleaning.blocks_of(file)) is not None:
                 is_stored = looks_like_a_bomb(file.path, file.size)
-                self.archive.add(file.name, self._blocks(file, blocks), size=file.size, is_stored=is_stored)
+                self.archive.add(
+                    file.name,
+                    self._blocks(file, blocks),
+                    size=file.size,
+                    is_stored=is_stored,
+                    is_program=file.name in self.programs,
+                )
             self._advance(end - self._done)  # a replacement may be longer or shorter than the secret
         for distribution in self.environment.local if self.asked.with_wheels else ():
             self._add_wheel(distribution)

@@ -93,7 +93,7 @@ _MARKS = rb"PRIVATE KEY|OpenVPN Static key"
 #: Between two words of a command: blanks, or the separator of two texts in a list.
 _GAP = rb"(?:[ \t]+|\\?[\"'][ \t]*,\s*\\?[\"'])"
 _VALUE = rb"[\"']?([^\s\"',;\\<>|&]+)"
-_CALLS = rb"username_pw_set|HTTP(?:Basic|Digest|Proxy)Auth|BasicAuth|DigestAuth|set_password"
+_CALLS = rb"username_pw_set|HTTP(?:Basic|Digest|Proxy)Auth|BasicAuth|DigestAuth|set_password|(?<=\.)login"
 
 
 @cache
@@ -194,7 +194,7 @@ def _commands() -> Iterator[Kind]:
         (echoed + rb"[\w-]+:" + piped + rb"(?:sudo\s+)?chpasswd", b"chpasswd"),
         (rb"\biw(?:config|list)?\b" + near + rb"\bkey\s+(?:s:)?([^\s\"']{5,})", b"iwconfig"),
         (rb"\bwpa_passphrase" + _GAP + rb"[^\s\"',]+" + _GAP + _VALUE, b"wpa_passphrase"),
-        (rb"\b(?:" + _CALLS + rb")" + given, b"username_pw_set", b"auth(", b"set_password"),
+        (rb"\b(?:" + _CALLS + rb")" + given, b"username_pw_set", b"auth(", b"set_password", b".login("),
         (asked + rb"\.sendline\(\s*[rbf]?[\"']([^\"'\n]+)[\"']", b"sendline("),
     )
     for expression, *hints in written:
@@ -203,6 +203,6 @@ def _commands() -> Iterator[Kind]:
 
 def _homes() -> Iterator[Kind]:
     # Last, so that a secret in a path is replaced as a whole.
-    home = re.compile(rb"(?<![\w.~-])/(?:home|Users)/[A-Za-z0-9_][A-Za-z0-9._-]*(?=$|[^A-Za-z0-9._-])")
+    home = re.compile(rb"(?<![\w.~-])(?:/mnt/[a-z])?/(?:home|Users)/[A-Za-z0-9_][A-Za-z0-9._-]*(?=$|[^A-Za-z0-9._-])")
     yield Kind(HOME_PATH, (b"/home/", b"/users/"), home, b"~")
     yield Kind(HOME_PATH, (b"/root",), re.compile(rb"(?<![\w./~-])/root(?=$|[/\s\"'\\,:;)\]}<])"), b"~")

@@ -257,14 +257,14 @@ def _judged(judged: _Judged, *, untested: str, secondary_because: str) -> Measur
         told = "could not be decided: no run has a value of it in both experiments."
         conclusion = Conclusion.UNDECIDED
     elif same.is_same:
-        told = f"could not be decided: it is identical in {_all_runs(runs)} that can be compared, and "
-        told += f"{counted(same.lacking, 'run')} of the original {'is' if same.lacking == 1 else 'are'} not done here."
+        told = f"could not be decided: it is identical in {_all_runs(runs)} that can be compared, and {_lacking(same)}."
         conclusion = Conclusion.UNDECIDED
     elif judged.found is None:
         conclusion = Conclusion.UNDECIDED
         told = f"could not be decided: it differs in {runs - same.identical} of {counted(runs, 'run')}, and {untested}."
     else:
         conclusion, told = _by_statistics(judged, judged.found)
+        told = f"{told.removesuffix('.')}; {_lacking(same)}." if same.lacking else told
     is_bounded = judged.found is not None and not (same is not None and same.is_same)
     return MeasureConclusion(
         judged.name,
@@ -276,6 +276,12 @@ def _judged(judged: _Judged, *, untested: str, secondary_because: str) -> Measur
         f"{judged.label} {told}",
         secondary_because,
     )
+
+
+def _lacking(same: Sameness) -> str:
+    """Return in words how many runs of the original the replication lacks."""
+    are = "is" if same.lacking == 1 else "are"
+    return f"{counted(same.lacking, 'run')} of the original {are} not done here, or excluded"
 
 
 def _by_statistics(judged: _Judged, found: Mapping[str, Any]) -> tuple[Conclusion, str]:

@@ -88,6 +88,48 @@ def test_a_config_of_experiment_runner_becomes_one_of_ours(
 
 
 @pytest.mark.long
+def test_members_that_are_called_like_parameters_of_ours_by_chance_get_other_names(
+    config: Callable[..., Path], converted: Callable[[Path], Path], execute: Callable[..., Executed]
+) -> None:
+    members = """
+    attempts: int = 5
+    phases, hosts = 3, ["10.0.0.1"]
+    most = attempts + phases
+
+    @property
+    def robot(self):
+        return self.plugins[0]
+
+    @robot.setter
+    def robot(self, name):
+        self.plugins = [name]
+
+    def start_run(self, context: RunnerContext) -> None:
+        attempts = 1  # another variable
+        self.robot = "alice"
+        self.size = context.execute_run["size"] + attempts + len(context.execute_run["language"])
+
+    def interact(self, context: RunnerContext, times=attempts) -> None:
+        self.size += times
+
+    def populate_run_data(self, context: RunnerContext):
+        return {"seconds": self.size + self.attempts + RunnerConfig.phases + self.most + len(self.robot)}
+    """
+    old = config(members)
+    new = converted(old)
+    text = new.read_text()
+    assert "_attempts: int = 5" in text
+    assert "attempts = 1  # another variable" in text
+    (told,) = [each.problem for each in convert(old).findings if "is called otherwise" in each.problem]
+    assert "attempts (now _attempts), hosts (now _hosts), phases (now _phases), plugins (now _plugins)" in told
+    columns = ["size", "language", "seconds"]
+    assert measures_of(new, columns) == [[row[name] for name in columns] for row in execute(old).table]
+    experiment = prepare(new).experiment
+    assert experiment is not None
+    assert (experiment.parameters.attempts, experiment.parameters.robot, experiment.plugins) == (1, None, ())
+
+
+@pytest.mark.long
 def test_what_no_cell_holds_becomes_the_text_that_the_tool_wrote(
     config: Callable[..., Path], converted: Callable[[Path], Path], execute: Callable[..., Executed]
 ) -> None:

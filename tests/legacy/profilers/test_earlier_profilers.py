@@ -185,6 +185,13 @@ def test_a_summary_that_is_missing_is_computed_from_the_log(
     assert meter.summary_logfile.read_text() == "Energy consumption in joules: 5.5 for 2.0 sec of execution"
 
 
+def test_a_summary_of_a_counter_that_began_anew_keeps_its_sign(tmp_path: Path) -> None:
+    (tmp_path / "log.csv").write_text("Time\n1\n")
+    (tmp_path / "summary.txt").write_text("Energy consumption in joules: -12.5 for 2.0 sec of execution.")
+    _, summary = EnergiBridge.parse_log(tmp_path / "log.csv", tmp_path / "summary.txt")
+    assert summary == {"total_joules": -12.5, "runtime_seconds": 2.0}
+
+
 @pytest.mark.parametrize(
     ("log", "joules"),
     [

@@ -20,7 +20,7 @@ from robot_runner.core.plugin import Plugin, described_circumstances, installed_
 from robot_runner.core.secret_names import hidden_settings
 from robot_runner.core.storage.git_repository import LARGEST_DIFF, repository_state, uncommitted_changes
 from robot_runner.core.storage.guarded_files import MissingFileError, make_folder, read_bytes, replace
-from robot_runner.core.storage.input_files import kept_contents
+from robot_runner.core.storage.input_files import kept_contents, let_programs_execute
 from robot_runner.core.storage.journal import read_journal, utc_now
 from robot_runner.core.storage.layout import next_in
 from robot_runner.core.storage.manifest import describe_host, describe_software, is_damaged, read_manifest
@@ -259,6 +259,7 @@ def keep_config_files(experiment: Experiment) -> None:
                 copy = unfinished / target.relative_to(kept)
                 make_folder(copy.parent, root)
                 replace(copy, content, root)
+            let_programs_execute(unfinished, unfinished)
             if kept.exists():  # it may be missing where a kill came between these two lines
                 kept.rename(next_in(experiment.folder.earlier_configs, root))
             unfinished.rename(kept)

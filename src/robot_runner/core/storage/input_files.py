@@ -62,8 +62,8 @@ class KeptInput(TypedDict):
     """An input in the index: where it was, its copy, and size and checksum to recognise it where there is no copy.
 
     `below` is its path in the folder of the config, for paths that the config computes from its own; `others` are the
-    files that it needs, relative to its folder; `programs` the copies that are executable, as neither our folders nor a
-    package keep that permission.
+    files that it needs, relative to its folder; `programs` the copies that are executable, since a package may come by
+    way of a disk that does not keep that permission.
     """
 
     named: str
@@ -138,9 +138,24 @@ def copy_kept(folder: Path, target: Path) -> None:
                 place = part / member.relative_to(_absolute(folder))
                 place.parent.mkdir(parents=True, exist_ok=True)
                 replace(place, read_bytes(member, folder), part, is_lasting=False)
-                if place.relative_to(part).as_posix() in each.get("programs", ()):
-                    place.chmod(place.stat().st_mode | 0o100 | (place.stat().st_mode & 0o044) >> 2)
+        let_programs_execute(folder, part)
         part.replace(target)
+
+
+def let_programs_execute(folder: Path, copies: Path) -> None:
+    """Make the copies of executable inputs executable: a config may execute the one beside it.
+
+    Args:
+        folder: the folder of configs, with the index.
+        copies: the folder with the copies, which was just written.
+
+    Raises:
+        StorageError: the index cannot be read.
+        OSError: a copy cannot be changed.
+    """
+    for place in (copies / name for each in read_index(folder) for name in each.get("programs", ())):
+        if place.is_file():
+            place.chmod(place.stat().st_mode | 0o100 | (place.stat().st_mode & 0o044) >> 2)
 
 
 def copies_in(folder: Path) -> set[Path]:

@@ -12,6 +12,7 @@ from robot_runner.core.config.experiment import Experiment
 from robot_runner.core.config.preparation import prepare
 from robot_runner.core.config.source import CONFIG_CLASS, read_source, read_tree
 from robot_runner.core.errors import ConfigError, Finding
+from robot_runner.core.words import listed
 from robot_runner.legacy.config_checks import check_waiting
 from robot_runner.legacy.conversion.bases import (
     BaseFile,
@@ -37,7 +38,7 @@ from robot_runner.legacy.conversion.callbacks import (
 )
 from robot_runner.legacy.conversion.contexts import convert_contexts
 from robot_runner.legacy.conversion.earlier_imports import ConvertedFile, convert_imports, convert_names, modules_beside
-from robot_runner.legacy.conversion.names import convert_parameters, convert_run_tables, rename_clashing
+from robot_runner.legacy.conversion.names import convert_parameters, convert_run_tables, own_members, rename_clashing
 from robot_runner.legacy.earlier_experiment import EarlierExperiment
 from robot_runner.legacy.recognition import Recognised, recognise
 from robot_runner.legacy.session import Session, active_session
@@ -221,7 +222,8 @@ class _Converting:
         self.config = config
         self.class_name = CONFIG_CLASS if class_name == recognised.dialect.class_name else class_name
         self._callbacks = named_callbacks(session, config, inherited)
-        self.members = self._callbacks.renamed | {"create_run_table_model": "create_run_table"}
+        self._own = own_members(config)
+        self.members = self._own | self._callbacks.renamed | {"create_run_table_model": "create_run_table"}
 
     def classes(self) -> dict[str, str]:
         """Return the new names of the file's config classes, its own and imported ones."""
@@ -235,6 +237,11 @@ class _Converting:
         self.file.findings += rename_clashing(self._session, self.file)
         where = f"{self.file.path}:{config.lineno}"
         self.file.findings += taken_over(where, config, callbacks, self._inherited)
+        if self._own:
+            told = listed([f"{name} (now {now})" for name, now in self._own.items()])
+            problem = f"what the config calls {told} is called otherwise: to Robot Runner these names mean something"
+            fix = "Use the new names where other modules ask the config for them."
+            self.file.findings.append(Finding.warning(where, problem, fix))
         self._rename_class(config)
         if callbacks.is_by_name:
             gone = {id(node) for each in remove_subscriptions(config, self._edits) for node in ast.walk(each)}
@@ -250,7 +257,8 @@ class _Converting:
         convert_run_tables(self._session, self.file)
         convert_names(self.file)
         convert_lists_of_callbacks(config, self._edits)
-        convert_parameters(config, self._experiment.parameters.results_output_path, self._edits)
+        results = self._experiment.parameters.results_output_path
+        convert_parameters(config, results, self._own, self._edits)
         self.text = self.file.text_with_imports(lines)
 
     def _rename_class(self, config: ast.ClassDef) -> None:

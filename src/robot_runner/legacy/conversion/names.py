@@ -6,13 +6,14 @@ import ast
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
+from robot_runner.core.config.parameters import PARAMETERS
 from robot_runner.core.errors import Finding
 from robot_runner.core.events.manager import RobotRunnerEvents
 from robot_runner.legacy.conversion.earlier_imports import ConvertedFile
 from robot_runner.legacy.earlier_exclusions import EarlierFactor, NamedExclusion, named_exclusions
 from robot_runner.legacy.run_tables import named_columns
 from robot_runner.legacy.session import Session
-from robot_runner.legacy.syntax import Edits, nodes, walk_bodies
+from robot_runner.legacy.syntax import Edits, attributes_of, bound_names, nodes, walk_bodies
 
 _PATH_PROPERTY = '''
     @property
@@ -21,14 +22,47 @@ _PATH_PROPERTY = '''
         return Path(__file__).parent / Path(self.results_output_path).expanduser() / self.experiment_name'''
 
 
-def convert_parameters(config: ast.ClassDef, results: Path, edits: Edits) -> None:
-    """Rename the static parameters of a config class in its body; `results` is the folder of its results."""
+#: Members that mean something to us, and meant nothing to the earlier tools.
+_OF_OURS = frozenset({*PARAMETERS, "duration_s", "input_files", "plugins"}) - {
+    "experiment_name",
+    "operation_type",
+    "required_ros_distro",
+    "required_ros_version",
+    "results_output_path",
+    "time_between_runs_in_ms",
+}
+
+
+def own_members(config: ast.ClassDef) -> dict[str, str]:
+    """Return new names for members of a config class that are called like a parameter of ours by chance."""
+    used = {node.attr for _, node in attributes_of(config, {"self", "cls", config.name})} | set(
+        bound_names(config.body)
+    )
+    renamed = {}
+    for name in sorted(used & _OF_OURS):
+        renamed[name] = f"_{name}"  # other names that are like ours would be taken for slips of the pen
+        while renamed[name] in used:
+            renamed[name] += "_"
+    return renamed
+
+
+def convert_parameters(config: ast.ClassDef, results: Path, members: Mapping[str, str], edits: Edits) -> None:
+    """Rename static parameters and other members of a config class in its body.
+
+    Args:
+        config: the class.
+        results: the folder of its results.
+        members: the new names of its members that are called like parameters of ours.
+        edits: takes the changes.
+    """
+    bound = bound_names(config.body)
+    renamed = {"name": "experiment_name", **{name: now for name, now in members.items() if name in bound}}
     is_asked = any(node.attr == "experiment_path" for node in nodes(config, ast.Attribute))
     for statement in walk_bodies(config.body):
-        _rename_reads_of_name(statement, edits)
+        _rename_reads(statement, renamed, edits)
         for target in _targets(statement):
-            if target.id == "name":
-                edits.replace(target, "experiment_name")
+            if target.id in renamed:
+                edits.replace(target, renamed[target.id])
             elif target.id == "experiment_path" and is_asked:  # in place, as it may end the class
                 edits.replace(statement, _PATH_PROPERTY.strip())
                 is_asked = False
@@ -40,14 +74,19 @@ def convert_parameters(config: ast.ClassDef, results: Path, edits: Edits) -> Non
         edits.insert(edits.end_of(config), f"\n{_PATH_PROPERTY}")
 
 
-def _rename_reads_of_name(statement: ast.stmt, edits: Edits) -> None:
-    """Rename reads of `name` in the body of the class; in a method it is another variable."""
-    if isinstance(statement, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef):
+def _rename_reads(statement: ast.stmt, renamed: Mapping[str, str], edits: Edits) -> None:
+    """Rename reads of members in the body of the class; in a method they are other variables."""
+    parts = list(ast.iter_child_nodes(statement))
+    if isinstance(statement, ast.FunctionDef | ast.AsyncFunctionDef):
+        defaults = [each for each in statement.args.kw_defaults if each is not None]
+        parts = [*statement.decorator_list, *statement.args.defaults, *defaults]
+    elif isinstance(statement, ast.ClassDef):
         return
-    for expression in ast.iter_child_nodes(statement):
+    for expression in parts:
         for node in nodes(expression, ast.Name) if isinstance(expression, ast.expr) else ():
-            if node.id == "name" and isinstance(node.ctx, ast.Load):
-                edits.replace(node, "experiment_name")
+            is_target = node is expression and isinstance(node.ctx, ast.Store)
+            if node.id in renamed and not is_target:
+                edits.replace(node, renamed[node.id])
 
 
 def _begin_in_current_folder(statement: ast.stmt, edits: Edits) -> None:
@@ -164,7 +203,7 @@ def _convert_exclusions(session: Session, exclusions: ast.expr, edits: Edits) ->
     """Add the factors to sets of values, and remove exclusions without treatments, which ours refuse."""
     if isinstance(exclusions, ast.Constant) and exclusions.value is None:
         edits.replace(exclusions, "[]")
-    model = session.models[-1] if session.models else None
+    model = session.model
     if not isinstance(exclusions, ast.List) or model is None:
         return
     given = list(model.exclusions or ())
@@ -210,7 +249,7 @@ _MODELS = ("RunTableModel", "Factor")
 
 def rename_clashing(session: Session, converted: ConvertedFile) -> Iterator[Finding]:
     """Rename such columns in run tables, in reads of a row, and in returned measures."""
-    model = session.models[-1] if session.models else None
+    model = session.model
     if model is None:
         return
     columns = [*(factor.factor_name for factor in model.get_factors()), *model.get_data_columns()]

@@ -226,7 +226,7 @@ class EnergiBridge(CLISource):
         if not summary_logfile:
             return log
         text = Path(summary_logfile).read_text(encoding="utf-8")
-        numbers = [float(each) for each in re.findall(r"\bnan\b|[0-9]+(?:\.[0-9]+)?", text)]
+        numbers = [float(each) for each in re.findall(r"\bnan\b|-?[0-9]+(?:\.[0-9]+)?", text)]
         keys = ("total_joules", "runtime_seconds")
         return log, dict(zip(keys, numbers, strict=True)) if len(numbers) == len(keys) else text
 

@@ -62,6 +62,7 @@ class RunTableModel:
     Attributes:
         exclusions: the given exclusions.
         is_shuffled: whether the order is random.
+        made: the rows that it has made so far.
     """
 
     def __init__(self, *arguments: Any, **named: Any) -> None:
@@ -84,7 +85,10 @@ class RunTableModel:
         self._data_columns = _data_columns(given.get("data_columns"))
         self.is_shuffled = bool(_first(given, _SHUFFLE, default=False))
         self._rows: list[dict[str, Any]] = []
-        current_session().models.append(self)
+        self.made: list[dict[str, Any]] = []
+        session = current_session()
+        session.models.append(self)
+        session.model = self
 
     def get_factors(self) -> list[FactorModel]:
         """Return the factors."""
@@ -125,7 +129,9 @@ class RunTableModel:
             else self._repeated_as_a_whole(combinations, session, numbering)
         )
         blanks = dict.fromkeys(self._data_columns, MISSING)
-        return [{"__run_id": run_id, "__done": RunProgress.TODO, **treatments, **blanks} for run_id, treatments in rows]
+        made = [{"__run_id": run_id, "__done": RunProgress.TODO, **treatments, **blanks} for run_id, treatments in rows]
+        self.made += made
+        return made
 
     def _repeated_as_a_whole(
         self, combinations: Sequence[Sequence[Any]], session: Session, numbering: Numbering
