@@ -185,6 +185,16 @@ def test_only_the_last_attempt_has_events(tmp_path):
     assert results.attempts.set_index(["run_id", "attempt"])["status"]["r_1", 2] == "unfinished"
 
 
+def test_an_attempt_that_was_interrupted_is_unfinished(tmp_path):
+    folder = make_experiment(tmp_path / "e", repetitions=1)
+    ended = {"status": "interrupted", "seconds": 4.0, "stamps": {}, "failure": None, "measures": {}}
+    with Journal(folder.journal) as journal:
+        journal.append("attempt_started", run="r_1", attempt=2)
+        journal.append("attempt_finished", run="r_1", attempt=2, **ended)
+    last = load_results(folder.root).attempts.set_index(["run_id", "attempt"]).loc[("r_1", 2)]
+    assert (last["status"], last["seconds"]) == ("unfinished", 4.0)
+
+
 def test_published_measures_need_no_column(tmp_path):
     folder = make_experiment(tmp_path / "e", repetitions=1)
     more = {"Distance": {"value": 3.4, "owner": "Robot", "origin": "simulated"}}

@@ -84,6 +84,7 @@ def read_history(journal: Path) -> History:
         "clock_set": reader.take_clock_set,
         "event": reader.take_event,
         "finding": reader.odd.append,
+        "imported": reader.take_import,
         "window": reader.take_window,
     }
     for record in read_journal(journal, kinds=takers):
@@ -142,6 +143,9 @@ class _JournalReader:
         self.readers: dict[str, dict[str, None]] | None = {}
         self.is_any_done = False
         self.odd: list[Mapping[str, Any]] = []
+        self.is_imported = False
+        #: Attempts of which no time is known: the stamps of their records are those of the import.
+        self.untimed: set[Attempt] = set()
         self.was_set = False
         self.set_by = 0.0
         self.begun_after: dict[Attempt, float] = {}
@@ -157,6 +161,9 @@ class _JournalReader:
     def _attempt(self, record: Mapping[str, Any]) -> Attempt:
         return self._interned(record["run"]), record["attempt"]
 
+    def take_import(self, _record: Mapping[str, Any]) -> None:
+        self.is_imported = True
+
     def take_start(self, record: Mapping[str, Any]) -> None:
         attempt = self._attempt(record)
         self.begun.pop(attempt, None)
@@ -167,6 +174,8 @@ class _JournalReader:
     def take_end(self, record: Mapping[str, Any]) -> None:
         attempt, measures = self._attempt(record), record["measures"]
         self.ends[attempt] = self._interned(record["status"]), record["seconds"], record["failure"]
+        if self.is_imported and not record.get("stamps"):
+            self.untimed.add(attempt)
         self._look_at_clock(record["at"])
         self.set_in.setdefault(attempt, self.set_by - self.begun_after.get(attempt, self.set_by))
         self.was_set |= _is_after(self._latest_events.pop(attempt, ""), record["at"])
@@ -247,20 +256,23 @@ class _JournalReader:
         rows = []
         for (run, attempt), at in self.begun.items():
             status, seconds, failure = self.ends.get((run, attempt), ("unfinished", None, None))
-            # Runs that were imported without times have no beginning: the stamp is only the record's.
-            is_timed = status == "unfinished" or seconds is not None
-            rows.append((run, attempt, status, at if is_timed else None, seconds, failure))
+            rows.append((run, attempt, status, None if (run, attempt) in self.untimed else at, seconds, failure))
         columns = ["run_id", "attempt", "status", "started_at", "seconds", "failure"]
         frame = pd.DataFrame(rows, columns=columns).astype({"run_id": "str", "attempt": "int64", "seconds": "float64"})
         frame["started_at"] = pd.to_datetime(frame["started_at"], utc=True, format="ISO8601")
-        frame["status"] = pd.Categorical(frame["status"], ["done", "failed", "unfinished"])
+        statuses = frame["status"].replace("interrupted", "unfinished")
+        frame["status"] = pd.Categorical(statuses, ["done", "failed", "unfinished"])
         frame.attrs["clock_was_set"] = self.was_set
         frame.attrs["clock_set_by"] = _by_run(self.begun_after)
         frame.attrs["clock_set_in"] = _by_run(self.set_in)
         return frame
 
     def _events(self, attempts: Iterable[Attempt], starts: Mapping[str, float]) -> pd.DataFrame:
-        rows = [(attempt[0], *each) for attempt in attempts for each in self.events.get(attempt, ())]
+        rows = [
+            (attempt[0], event, None if attempt in self.untimed else at, clock)
+            for attempt in attempts
+            for event, at, clock in self.events.get(attempt, ())
+        ]
         frame = pd.DataFrame(rows, columns=["run_id", "event", "at", "clock_s"])
         frame = frame.astype({"run_id": "str", "clock_s": "float64"})
         frame["event"] = pd.Categorical(frame["event"], EVENTS, ordered=True)

@@ -172,6 +172,24 @@ def test_names_that_differ_are_told_with_the_option_that_joins_them(lab):
     assert [each.experiment for each in found.measure("Energy").effects[0].experiments] == ["one", "other", "third"]
 
 
+def test_why_measures_of_yes_and_no_are_not_combined_is_told(make_folder):
+    rows = [(task, "True" if run % 3 else "False") for task in ("Video", "Network") for run in range(6)]
+    made = {"factors": {"Task": ["Video", "Network"]}, "rows": rows, "measures": {"Success": ""}}
+    folders = [
+        make_folder(**made, types={"Success": "boolean"}, name=name, day=f"20{year}-01-31").root
+        for name, year in (("one", 24), ("other", 25))
+    ]
+    found = meta_analyse(*folders, measures=["Success"]).measure("Success")
+    assert found.not_computed[0].why == "proportions are not combined: compare two experiments at a time."
+
+
+def test_numbers_that_are_written_otherwise_are_proposed_to_be_the_same(lab):
+    found = meta_analyse(lab({"1": 30, "2": 20}), lab({"1.0": 30, "2.0": 20}))
+    told = " ".join(each.fix for each in found.findings)
+    assert "--same 1.0=1." in told
+    assert "--same 2.0=2." in told
+
+
 def test_names_that_one_experiment_tells_apart_are_not_joined(lab):
     with pytest.raises(AnalysisError, match="both 'Video' and 'Network'"):
         meta_analyse(lab(TASKS), lab(TASKS), same=["Video=Network"])

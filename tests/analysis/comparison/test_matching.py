@@ -50,3 +50,21 @@ def test_a_treatment_that_is_written_as_a_fraction_beside_others_is_the_same_one
     found = compare(original, replication)
     assert [each.label for each in found.measure("Energy").differences] == ["1", "2"]
     assert found.notes == ("Only replication has 0.5.",)
+
+
+def test_a_number_is_the_same_treatment_where_the_other_experiment_has_a_word_beside_it(tmp_path: Path) -> None:
+    original = made(tmp_path / "original", [Factor("Speed", [0.1, 0.5, 1.0])])
+    replication = made(tmp_path / "replication", [Factor("Speed", [0.1, 0.5, 1, "auto"])])
+    for folders in ((original, replication), (replication, original)):
+        found = compare(*folders)
+        assert [each.label for each in found.measure("Energy").differences][:2] == ["0.1", "0.5"]
+        assert len(found.measure("Energy").differences) == 3
+        assert found.notes == ("Only replication has auto.",)
+
+
+def test_texts_that_are_written_otherwise_are_other_treatments(tmp_path: Path) -> None:
+    original = made(tmp_path / "original", [Factor("Version", ["1", "1.0", "1.1", "dev"])])
+    replication = made(tmp_path / "replication", [Factor("Version", ["1.0", "1.10", "dev"])])
+    found = compare(original, replication)
+    assert [each.label for each in found.measure("Energy").differences] == ["1.0", "dev"]
+    assert found.notes == ("Only original has 1, 1.1.", "Only replication has 1.10.")

@@ -11,7 +11,12 @@ from tests.analysis.importing.foreign_folder import make_earlier_folder, write
 
 from robot_runner.analysis import analyse, load_results
 from robot_runner.analysis.importing.adoption import adopt
-from robot_runner.analysis.importing.description import ImportDescription, parse_recipe, read_description
+from robot_runner.analysis.importing.description import (
+    ImportDescription,
+    SamplesDescription,
+    parse_recipe,
+    read_description,
+)
 from robot_runner.analysis.importing.recomputation import agreements
 from robot_runner.analysis.importing.understanding import understand
 from robot_runner.analysis.report.document import report_document
@@ -245,6 +250,66 @@ def test_traces_that_outlast_the_run_or_end_before_it_are_told(tmp_path):
 
 def test_a_log_of_events_may_end_before_its_run(tmp_path):
     assert traces(tmp_path, "duration_s", ["10.0", "10.1", "9.9"], [seconds(0, 6), seconds(0, 7), seconds(0, 5)]) == ()
+
+
+@pytest.mark.parametrize("first", [0, 0.75, 84211.25], ids=["from the start", "a little later", "since it was booted"])
+def test_how_long_a_run_took_is_from_its_first_sample_to_its_last_wherever_times_count_from(tmp_path, first):
+    begins = [first + 100 * number * (first > 1) for number in range(3)]
+    assert traces(tmp_path, "energy", ["1.5", "2.5", "3.5"], [seconds(each, each + 10) for each in begins]) == ()
+    results = load_results(tmp_path / "ours")
+    assert results.attempts["seconds"].tolist() == [10.0, 10.0, 10.0]
+    assert results.samples("power")["time_s"].tolist() == [0.0, 10.0] * 3
+
+
+def test_times_below_zero_are_from_before_the_mission(tmp_path):
+    traces(tmp_path, "energy", ["1.5", "2.5"], [seconds(-0.5, 0, 10), seconds(-0.25, 10)])
+    results = load_results(tmp_path / "ours")
+    assert results.attempts["seconds"].tolist() == [10.0, 10.0]
+    assert results.samples("power")["time_s"].tolist() == [-0.5, 0.0, 10.0, -0.25, 10.0]
+
+
+def test_times_that_count_from_before_the_run_are_set_beside_its_other_samples(tmp_path):
+    write(tmp_path / "r" / "run_table.csv", "__run_id,t,e\nrun_0,a,1\n")
+    write(tmp_path / "r" / "run_0" / "cpu.csv", "time_s,cpu\n84211.5,20\n84221.5,30\n")
+    write(tmp_path / "r" / "run_0" / "load.csv", "elapsed_s,load\n4,1\n8,2\n")
+    write(tmp_path / "r" / "run_0" / "power.csv", "timestamp,power_W\n1736296650,5\n1736296660,6\n")
+    (run,) = adopted(tmp_path / "r", tmp_path / "ours").runs
+    results = load_results(tmp_path / "ours")
+    assert (run.duration, run.stamps["stop_measurement_at"]) == (10.0, "2025-01-08T00:37:40.000Z")
+    assert [results.samples(name)["time_s"].tolist() for name in ("cpu", "power")] == [[0.0, 10.0]] * 2
+    assert results.samples("load")["time_s"].tolist() == [4.0, 8.0]
+
+
+def test_moments_of_a_file_that_begins_when_another_one_is_over_stay_where_they_are(tmp_path):
+    write(tmp_path / "r" / "run_table.csv", "__run_id,t,e\nrun_0,a,1\n")
+    write(tmp_path / "r" / "run_0" / "power.csv", "timestamp,power_W\n1736296650,5\n1736296660,6\n")
+    write(tmp_path / "r" / "run_0" / "radio.csv", "timestamp,signal\n1736296680,5\n1736296690,6\n")
+    (run,) = adopted(tmp_path / "r", tmp_path / "ours").runs
+    assert run.duration == 40.0
+    assert load_results(tmp_path / "ours").samples("radio")["time_s"].tolist() == [30.0, 40.0]
+
+
+def test_a_format_of_times_of_day_is_in_the_description(tmp_path):
+    write(tmp_path / "r" / "run_table.csv", "__run_id,t,e\nrun_0,a,1\n")
+    write(tmp_path / "r" / "run_0" / "power.csv", "when,power_W\n11:59:59 PM,5\n12:00:01 AM,6\n")
+    said = SamplesDescription("power.csv", time="when", time_unit="%I:%M:%S %p")
+    (run,) = adopted(tmp_path / "r", tmp_path / "ours", samples=(said,)).runs
+    assert (run.duration, run.started_at) == (2.0, None)
+    again = understand(tmp_path / "r", read_description(tmp_path / "ours" / "import" / "description.toml"))
+    assert [each.time_unit for each in again.samples] == ["%I:%M:%S %p"]
+
+
+@pytest.mark.long
+def test_when_runs_were_executed_is_not_made_up_where_only_how_long_is_known(tmp_path):
+    traces(tmp_path, "energy", ["1.5", "2.5"], [seconds(0, 10), seconds(0, 12)])
+    results = load_results(tmp_path / "ours")
+    assert results.attempts["started_at"].isna().all()
+    assert results.attempts["seconds"].tolist() == [10.0, 12.0]
+    assert results.events()["at"].isna().all()
+    document = report_document(Material(results, analyse(results)), made="now")
+    assert "timeline" not in [figure.name for figure in document.figures]
+    [points] = [chart for chart in document.charts if chart.kind == "points"]
+    assert points.data["place"] == "Place in the order of the table"
 
 
 def test_samples_before_and_after_the_moments_of_the_run_are_told(tmp_path):

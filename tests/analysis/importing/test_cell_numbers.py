@@ -81,3 +81,24 @@ def test_one_column_with_decimal_commas_puts_the_points_of_others_in_doubt(tmp_p
     path.write_text('Task,Energy,Packets\nVideo,"870,5",1.000\nNetwork,"831,2",990\n', encoding="utf-8")
     assert read_foreign_table(path).doubts == {"Packets": "1.000 may be 1000 or 1.000"}
     assert read_foreign_table(path, decimal=",").column("Packets") == ("1000", "990")
+
+
+@pytest.mark.parametrize(
+    ("rows", "doubts"),
+    [
+        ("Video;873.900;5\nNetwork;1.904.300;6\n", {}),
+        ("Video;873.900;5\nNetwork;904.300;6\n", {"Energy": "873.900 may be 873900 or 873.900"}),
+        ("Video;873.900;0.5\nNetwork;904.300;0.6\n", {}),
+        ("Video;873.900;5.25\nNetwork;904.300;6.5\n", {}),
+        ("Video;0.900;5\nNetwork;0.300;6\n", {}),
+        ("Video;873900;5\nNetwork;904300;6\n", {}),
+    ],
+)
+def test_points_may_group_thousands_where_cells_are_separated_by_semicolons(
+    rows: str, doubts: dict[str, str], tmp_path: Path
+) -> None:
+    path = tmp_path / "run_table.csv"
+    path.write_text(f"Task;Energy;Load\n{rows}", encoding="utf-8")
+    assert read_foreign_table(path).doubts == doubts
+    for decimal in ".,":
+        assert not read_foreign_table(path, decimal=decimal).doubts

@@ -35,3 +35,28 @@ def test_times_are_in_the_unit_of_their_heading_however_long_the_computer_has_be
     times = pa.chunked_array([[first, first + 1]])
     assert time_unit(heading, times, "power.csv") == unit
     assert time_kind(unit, times) is kind
+
+
+@pytest.mark.parametrize(
+    ("unit", "texts"),
+    [
+        ("%H:%M:%S", ["23:59:58", None, "23:59:59", "00:00:01"]),
+        ("%I:%M:%S %p", ["11:59:58 PM", None, "11:59:59 PM", "12:00:01 AM"]),
+        ("%M:%S.%f", ["59:58.0", None, "59:59.0", "00:01.0"]),
+    ],
+)
+def test_a_format_without_a_date_tells_times_of_day_which_go_on_past_midnight(unit, texts):
+    column = pa.chunked_array([texts])
+    assert time_kind(unit, column) is TimeKind.CLOCK  # and no moments of the year 1900
+    times, valid = nanoseconds_of(column, unit, "meter.csv")
+    assert valid.tolist() == [True, False, True, True]
+    assert ((times[valid] - times[0]) / 1e9).tolist() == [0.0, 1.0, 3.0]
+
+
+def test_a_format_with_a_date_tells_moments():
+    column = pa.chunked_array([["05/03/2025 12:00:00", "05/03/2025 12:00:02"]])
+    assert time_kind("%d/%m/%Y %H:%M:%S", column) is TimeKind.MOMENT
+    assert nanoseconds_of(column, "%d/%m/%Y %H:%M:%S", "meter.csv")[0].tolist() == [
+        1741176000 * 10**9,
+        1741176002 * 10**9,
+    ]

@@ -168,6 +168,21 @@ def test_a_number_that_is_missing_is_not_a_treatment_that_is_called_none(tmp_pat
     assert [run.treatments["gain"] for run in found.runs] == ["", "2", "nan", "2"]
 
 
+def test_a_truth_value_that_is_missing_keeps_its_word_and_is_noted(tmp_path):
+    rows = "".join(f"{('TRUE', 'false', 'NA')[n % 3]},{n}.5\n" for n in range(6))
+    found = table_only(tmp_path, f"is_on,energy_J\n{rows}")
+    assert found.treatments("is_on") == ("False", "NA", "True")
+    assert "is_on has 'NA' in 2 runs: a treatment here. If it is missing, fill it in, or leave these runs out" in (
+        found.notes
+    )
+
+
+def test_the_minus_sign_of_documents_is_a_minus(tmp_path):
+    rows = "".join(f"{'ab'[n % 2]},\N{MINUS SIGN}{n}.5,{n}.25\n" for n in range(6))
+    found = table_only(tmp_path, f"task,offset_m,energy_J\n{rows}")
+    assert [run.measures["offset_m"] for run in found.runs[:2]] == [-0.5, -1.5]
+
+
 def test_treatments_are_in_an_order_that_means_something(tmp_path):
     rows = "".join(f"run_{place},DONE,{level},{place}.5\n" for place, level in enumerate((500, 50, 1000) * 2))
     assert table_only(tmp_path, f"__run_id,__done,length,energy\n{rows}").treatments("length") == ("50", "500", "1000")
@@ -467,6 +482,13 @@ def test_questions_name_the_options_that_settle_them(tmp_path):
     assert energy.problem == "numbers of column 'energy' can be read in two ways: 1,100 may be 1.100 or 1100"
     assert "--decimal point or --decimal comma" in energy.fix
     assert not table_only(tmp_path, f"level x,energy\n{rows}", factors=("level x",), decimal=".").questions
+
+
+def test_a_table_in_which_nothing_is_taken_for_a_measure_is_noted(tmp_path):
+    rows = "".join(f"{'ab'[n % 2]},{'NY'[n % 3 > 0]}\n" for n in range(12))
+    note = "no column is taken for a measure: nothing can be analysed. Name one with --measure"
+    assert note in table_only(tmp_path, f"task,arrived\n{rows}").notes
+    assert note not in table_only(tmp_path, f"task,arrived\n{rows}", measures=("arrived",)).notes
 
 
 def test_files_and_folders_that_do_not_fit_the_table_are_noted(tmp_path):

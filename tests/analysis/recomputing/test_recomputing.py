@@ -471,8 +471,8 @@ def test_a_table_that_was_changed_does_not_agree(tmp_path: Path, monkeypatch: py
 
 #: Settings, points of figures, and what is simulated of a rule for outliers, are no results of the runs.
 NO_RESULTS = {
-    "alpha", "plan", "level", "target_power", "effect_size", "family_size", "places", "residuals", "theoretical",
-    "observed",
+    "alpha", "plan", "level", "target_power", "effect_size", "family_size", "families", "places", "residuals",
+    "theoretical", "observed",
     "contrast", "within", "outliers", "left_out", "is_extreme", "coding",
     "rule_false_positives",
 }  # fmt: skip

@@ -14,7 +14,7 @@ from tests.analysis.report.agreement import disagreements
 from tests.long_cases import long_but, soak_but
 
 from robot_runner.analysis import DeclaredDesign, load_results, with_declared_design
-from robot_runner.analysis.report.blocks import FigureBlock, Part
+from robot_runner.analysis.report.blocks import FigureBlock, Paragraph, Part
 from robot_runner.analysis.report.design_section import searched_part
 from robot_runner.analysis.report.material import Material
 from robot_runner.analysis.report.outcome_section import failed_pairs
@@ -129,6 +129,28 @@ def test_a_surface_over_one_factor_is_described_as_the_curve_that_is_drawn(
     (figure,) = (block for block in part.blocks if isinstance(block, FigureBlock))
     assert figure.caption == f"Response surface of Energy over Speed; {signs}"
     assert figure.alternative == "Curve of Energy over Speed."
+
+
+def test_a_surface_says_over_which_factors_it_is_averaged(tmp_path: Path) -> None:
+    def values(run: dict[str, Any], repetition: int) -> dict[str, Any]:
+        speed, load = float(run["Speed"]), float(run["Load"])
+        height = 8.0 * (run["Map"] == "high")
+        return {"Energy": 100 * (speed - 0.2) ** 2 + (load - 1) ** 2 + height + speed * load / 1000 + repetition}
+
+    folder = make_experiment(
+        tmp_path / "experiment", [*NUMBERS, TWO[2]], values, repetitions=2, chosen=LatinHypercube(runs=16)
+    )
+    material = Material(results := load_results(folder.root), analyse(results))
+    (part,) = surface_parts(material, material.statistics.measure("Energy"))
+    assert isinstance(part, Part)
+    told = [block.text for block in part.blocks if isinstance(block, Paragraph)]
+    assert told[0] == (
+        "The surface is that of the average over the treatments of Map, which are taken to shift it as a whole: "
+        "whether they change its shape or its optimum is not tested."
+    )
+    assert "; on average over Map, Energy is 5.5" in " ".join(told)
+    (figure,) = (block for block in part.blocks if isinstance(block, FigureBlock))
+    assert figure.caption.startswith("Response surface of Energy over Load and Speed, on average over Map; points are ")
 
 
 def test_failures_are_told_by_pairs_of_treatments() -> None:

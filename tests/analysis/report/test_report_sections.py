@@ -69,6 +69,28 @@ def test_what_bars_of_figures_are_is_said_below_them(make_folder):
     assert "confidence" not in captions["interaction E A B"] + captions["distribution E by A / B"]
 
 
+def test_of_pairs_it_is_said_which_treatment_is_subtracted(two_tasks):
+    material = material_of(two_tasks())
+    (pair,) = material.statistics.measure("Energy").post_hoc[0].comparisons
+    means = {each.label: each.mean for each in material.statistics.measure("Energy").by_treatment}
+    assert pair.difference == pytest.approx(means[pair.first] - means[pair.second])
+    (table,) = [each for each in document(two_tasks()).tables if each.name == "pairs Energy Task"]
+    assert table.caption == "Energy (J): all pairs of Task, the first less the second."
+
+
+def test_measures_that_go_together_perfectly_are_highlighted(make_folder):
+    rows = [("ab"[place % 2], float(place), 2.0 * place) for place in range(12)]
+    made = document(make_folder(factors={"Task": ["a", "b"]}, rows=rows, measures={"E": "J", "F": "J"}))
+    (table,) = [each for each in made.tables if each.name == "correlations"]
+    (cell,) = [
+        cell
+        for row in table.rows
+        for column, cell in zip(table.columns, row, strict=True)
+        if "p" in column.name.split()
+    ]
+    assert (cell.value, cell.text, cell.tone) == (0.0, "< 0.001", Tone.GOOD)
+
+
 def test_in_brief_many_interactions_that_are_not_shown_take_one_sentence(make_folder):
     rows = [
         (a, b, c, 10.0 + 5 * (a == "x") + place * 37 % 11)
@@ -304,6 +326,19 @@ def test_runs_without_samples_leave_no_hole(two_tasks):
     assert [(group["name"], group["runs"]) for group in chart.data["groups"]] == [("Video", 3), ("Network", 5)]
     lengths = {len(run["values"]) for group in chart.data["groups"] for run in group["each"]}
     assert lengths == {len(chart.data["time"])}
+
+
+def test_the_mean_over_the_mission_says_that_it_is_of_runs_that_last_so_long(two_tasks):
+    folder = two_tasks()
+    lasting = [50 if place < 2 else 20 for place in range(10)]
+    folder.write_samples(
+        "Meter", "samples.csv", "time_s,power_W", lambda place: [f"{t / 10},{place}" for t in range(lasting[place])]
+    )
+    made = document(folder)
+    (mean,) = [each.caption for each in made.figures if each.name.startswith("course") and each.name.endswith("means")]
+    assert "Power (W) over the time of the mission, mean of each treatment's runs that last so long (runs: " in mean
+    (chart,) = [block for block in made.charts if block.kind == "course"]
+    assert chart.caption.startswith("Power (W): mean of each treatment's runs that last so long, with a band of one ")
 
 
 def test_many_runs_are_thinned_out_in_a_chart(make_folder):

@@ -23,8 +23,10 @@ from robot_runner.analysis.statistics.linear_model import FittedModel
 from robot_runner.analysis.statistics.post_hoc import compare_pairs
 from robot_runner.analysis.statistics.tested import NotComputed, TestMethod
 from robot_runner.analysis.statistics.tests import Choices, carry_out, model_of
-from robot_runner.core.design.analysis_plan import Estimand
+from robot_runner.core.design.analysis_plan import AnalysisPlan, Estimand
 from robot_runner.core.design.factor import Factor
+from robot_runner.core.design.hypothesis import Hypothesis
+from robot_runner.core.errors import AnalysisError
 
 NORMAL = np.random.default_rng(5).normal(0, 1, 400)
 SKEWED = np.exp(2 * NORMAL)
@@ -358,6 +360,28 @@ def test_asking_for_one_measure_changes_none_of_its_p_values(tmp_path):
     alone, among = analyse(results, measures=["Energy"]), analyse(results)
     assert [each.name for each in alone.measures] == ["Energy"]
     assert alone.measure("Energy").test == among.measure("Energy").test
+
+
+def test_a_given_plan_whose_contrast_names_no_treatment_is_refused_with_the_nearest(tmp_path):
+    claim = Hypothesis("So.", measure="Energy", factors="Task", contrast={"Vido": 1, "Idle": -1})
+    with pytest.raises(AnalysisError, match="'Vido', in the contrast, is not a treatment of 'Task'") as refused:
+        analyse(analysed(tmp_path, None, shift=1.0), plan=AnalysisPlan(hypotheses=[claim]))
+    assert "Did you mean 'Video'?" in refused.value.fix
+
+
+def test_why_a_bound_of_three_treatments_is_not_tested_is_told(tmp_path):
+    claim = {"statement": "They are alike.", "measure": "Energy", "factors": ["Speed"], "within": 3}
+    made = make_experiment(
+        tmp_path / "made",
+        [Factor("Speed", [0.1, 0.2, 0.3])],
+        lambda of, repetition: {"Energy": of["Speed"] + repetition % 2},
+        repetitions=4,
+        analysis={"measures": ["Energy"], "hypotheses": [claim]},
+    )
+    (found,) = analyse(load_results(made.root)).hypotheses
+    assert "a bound is of two treatments, and it names none by a contrast of those of Speed: 0.1, 0.2, 0.3." in (
+        found.conclusion
+    )
 
 
 def test_a_contrast_and_a_bound_of_equivalence_are_judged(tmp_path):

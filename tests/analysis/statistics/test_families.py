@@ -13,6 +13,10 @@ from tests.analysis.statistics.designed_data import designed
 from tests.long_cases import soak_but
 
 from robot_runner.analysis import analyse, load_results
+from robot_runner.analysis.report.blocks import Paragraph
+from robot_runner.analysis.report.document import report_document
+from robot_runner.analysis.report.material import Material
+from robot_runner.core.design.factor import Factor
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -99,3 +103,62 @@ def test_the_largest_difference_that_is_not_shown_is_not_passed_over() -> None:
     near = [0.0, 0.1, -0.1, 0.2, -0.2]
     said = told({"a": near, "b": [1 + each for each in near], "wild": [12.0, -9.0, 20.0, -14.0, 6.0]})
     assert "the mean of a is lower than that of b by 1.000, the largest difference that is significant (" in said
+
+
+def test_a_hypothesis_is_supported_in_the_direction_that_was_found_and_not_in_any_other(tmp_path: Path) -> None:
+    said = {"statement": "Streaming costs energy.", "measure": "Energy", "factors": ["Task"]}
+    among = {"statement": "The same within 9.", "measure": "Energy", "factors": ["Task"], "within": 9}
+    made = make_experiment(
+        tmp_path / "made",
+        values=lambda of, repetition: {"Energy": 8.0 * (of["Task"] == "Network") + repetition / 10},
+        analysis={"measures": ["Energy"], "hypotheses": [said, among]},
+    )
+    streaming, same = analyse(load_results(made.root)).hypotheses
+    assert streaming.conclusion.startswith(
+        "The data support it, unless it claims another direction (p < 0.001 after correction for 2 tests). Task has "
+        "an effect on Energy: the mean of Video is lower than that of Network by 8.000"
+    )
+    assert same.conclusion.startswith("The data support it (p < 0.001 after correction for 2 tests). The contrast")
+
+
+THREE = [Factor("Task", ["a", "b"]), Factor("Map", ["x", "y"]), Factor("Speed", [1, 2])]
+
+
+def interacting(treatments: dict[str, Any], repetition: int) -> dict[str, Any]:
+    is_b, is_y, is_fast = (treatments[each.name] == each.treatments[1] for each in THREE)
+    return {"Energy": 3.0 * is_b * is_y + 4.0 * is_b * is_fast + (0.0, 0.4, 0.1, 0.3)[repetition - 1]}
+
+
+@pytest.mark.long
+def test_combinations_of_each_interaction_that_is_shown_are_compared(tmp_path: Path) -> None:
+    made = make_experiment(tmp_path / "made", THREE, interacting, repetitions=4)
+    measure = analyse(load_results(made.root)).measure("Energy")
+    assert measure.test is not None
+    shown = [each.factors for each in measure.test.effects if len(each.factors) > 1 and each.is_significant]
+    assert shown == [("Task", "Map"), ("Task", "Speed")]
+    assert [each.factors for each in measure.post_hoc if len(each.factors) > 1] == shown
+
+
+@pytest.mark.long
+def test_the_family_of_each_test_is_told_where_a_measure_has_several(tmp_path: Path) -> None:
+    said = {"statement": "Tasks differ.", "measure": "Energy", "factors": ["Task"]}
+    plan = {"measures": ["Energy"], "family": "hypotheses", "hypotheses": [said]}
+    made = make_experiment(tmp_path / "made", THREE[:2], interacting_of_two, repetitions=4, analysis=plan)
+    results = load_results(made.root)
+    statistics = analyse(results)
+    test = statistics.measure("Energy").test
+    assert test is not None
+    assert [(each.name, each.size, each.tests) for each in test.families] == [
+        ("the hypotheses", 1, ("Task",)),
+        ("the effects on Energy", 2, ("Map", "Task x Map")),
+    ]
+    blocks = report_document(Material(results, statistics), made="").blocks()
+    (told,) = (each.text for each in blocks if isinstance(each, Paragraph) and each.lead == "Family.")
+    assert told == (
+        "p-values are adjusted within families: Task among 1 test (the hypotheses); Map and Task x Map among 2 tests "
+        "(the effects on Energy)."
+    )
+
+
+def interacting_of_two(treatments: dict[str, Any], repetition: int) -> dict[str, Any]:
+    return interacting({**treatments, "Speed": 1}, repetition)

@@ -82,6 +82,20 @@ def test_an_effect_that_doubtful_values_turn_does_not_stand(tmp_path: Path) -> N
     assert "significant in the other direction" in one.conclusion
 
 
+@pytest.mark.long
+@pytest.mark.parametrize("contrast", [{}, {"contrast": {"Video": 1, "Network": -1}}], ids=["effect", "contrast"])
+def test_a_hypothesis_whose_difference_doubtful_values_turn_does_not_stand(
+    tmp_path: Path, contrast: dict[str, Any]
+) -> None:
+    watts = {"Video": [*FAR["Video"], *(value + 8 for value in FAR["Video"] * 3)], "Network": FAR["Network"] * 4}
+    plan = {**PLAN, "hypotheses": [{**PLAN["hypotheses"][0], **contrast}]}
+    doubts = {f"r_{number}": HOT for number in range(13, 49, 2)}
+    found = analyse(results(tmp_path, watts, doubts, analysis=plan))
+    [one] = [each for each in found.standings if each.statement]
+    assert (found.hypotheses[0].is_supported, one.stands) == (True, False)
+    assert "the data support it in the other direction (p < 0.001 after correction)" in one.conclusion
+
+
 def test_what_cannot_be_computed_without_them_is_not_known(tmp_path: Path) -> None:
     one = standing(tmp_path, FAR, {f"r_{number}": HOT for number in range(2, 13)})
     assert one.stands is None

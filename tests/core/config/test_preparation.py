@@ -62,6 +62,25 @@ class RobotRunnerConfig(ExperimentConfig):
     assert "Did you mean 'Video'?" in finding.fix
 
 
+def test_a_bound_that_leaves_open_which_treatments_are_alike_is_warned_of(tmp_path: Path) -> None:
+    path = tmp_path / "study.py"
+    path.write_text("""
+from robot_runner import *
+class RobotRunnerConfig(ExperimentConfig):
+    experiment_name = "bounds"
+    analysis = AnalysisPlan(hypotheses=[
+        Hypothesis("Speeds cost alike.", measure="E", factors="Speed", within=5),
+        Hypothesis("Tasks cost alike.", measure="E", factors="Task", within=5),
+    ])
+    def create_run_table(self):
+        factors = [Factor("Task", ["Video", "Idle"]), Factor("Speed", [0.1, 0.2, 0.3])]
+        return RunTableModel(factors, data_columns=["E"])
+""")
+    (finding,) = findings_of(path)
+    assert finding.problem == "the bound is of two treatments, and 'Speed' has 3, so that it cannot be tested"
+    assert finding.fix == "Name two, as in contrast={'0.1': 1, '0.3': -1}."
+
+
 @pytest.mark.parametrize(
     "design",
     ['design=Crossover(unit="Person", period="Turn")', 'blocks="Turn", shuffle=True', "repetitions=2"],

@@ -51,6 +51,8 @@ if TYPE_CHECKING:
 
 _ALPHA = 0.05
 _FEWEST = 2
+_NO_NUMBERS = "the values are not numbers."
+_NO_PROPORTIONS = "proportions are not combined: compare two experiments at a time."
 #: More pairs could not be read, and correction would leave no power to test them.
 _MOST_PAIRS = 105
 
@@ -158,7 +160,8 @@ def _estimated(experiment: Experiment, choice: MeasureChoice) -> _Estimated | No
         return NotComputed(what, "the experiment's plan draws no conclusion on a measure with doubtful values.")
     data = experiment.data(column, choice.unit)
     if data is None or not len(data.frame):
-        return NotComputed(what, "the values are not numbers." if data is None else "no run that is done has a value.")
+        why = _NO_PROPORTIONS if experiment.design.answers(column) is not None else _NO_NUMBERS
+        return NotComputed(what, why if data is None else "no run that is done has a value.")
     if odd := out_of_range(data.values):
         return NotComputed(what, f"the measure {odd}")
     compared, _, apart = comparable(data)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations
 from typing import TYPE_CHECKING
@@ -11,6 +11,7 @@ import numpy as np
 
 from robot_runner.analysis.comparison.matching import in_unit, of_one_quantity
 from robot_runner.analysis.statistics.analysed_design import VALUE, Design, MeasureData, design_of
+from robot_runner.analysis.statistics.known_design import before_column
 from robot_runner.analysis.statistics.left_out import left_out_of
 from robot_runner.analysis.statistics.robustness import doubtful_runs
 from robot_runner.core.design.columns import RUN_ID
@@ -65,15 +66,24 @@ class Experiment:
         return tuple(map(str, self.design.frame[factor].cat.categories))
 
     def with_name(self, old: str, new: str) -> Experiment:
-        """Return the experiment with a factor or treatment renamed."""
+        """Return the experiment with a factor or treatment renamed, in all parts of its design."""
+
+        def named(names: Iterable[str]) -> tuple[str, ...]:
+            return tuple(new if name == old else name for name in names)
+
         design = self.design
-        frame = design.frame.rename(columns={old: new} if old in self.factors else {})
-        factors, constant = (
-            tuple(new if name == old else name for name in names) for names in (design.factors, design.constant)
-        )
+        columns = {old: new, before_column(old): before_column(new)} if old in self.factors else {}
+        frame, factors, constant = design.frame.rename(columns=columns), named(design.factors), named(design.constant)
         for name in (*factors, *constant):
             frame[name] = frame[name].cat.rename_categories({old: new} if old in frame[name].cat.categories else {})
-        design = replace(design, frame=frame, factors=factors, constant=constant)
+            if (before := before_column(name)) in frame:
+                frame[before] = frame[before].replace(old, new)
+        conditions = {
+            name: dict(zip(named(of), map(named, of.values()), strict=True))
+            for name, of in zip(named(design.conditions), design.conditions.values(), strict=True)
+        }
+        known = design.known.with_name(old, new)
+        design = replace(design, frame=frame, factors=factors, constant=constant, known=known, conditions=conditions)
         return replace(self, design=design, new_names={**self.new_names, old: new})
 
     def left_out(self, column: str) -> tuple[str, ...]:
@@ -221,7 +231,8 @@ def _differing_treatments(experiment: Experiment, others: Sequence[Experiment], 
 
 
 def _same(name: str, candidates: Sequence[str]) -> str:
-    near = nearest(name, candidates)
+    whole = name.removesuffix(".0")  # a number may be written as 1 or as 1.0
+    near = next((each for each in candidates if each.removesuffix(".0") == whole), None) or nearest(name, candidates)
     return "" if near is None else f"If {near!r} is the same, say so: --same {name}={near}."
 
 

@@ -91,7 +91,8 @@ def match_runs(first: Results, second: Results, *, is_paired: bool) -> Matching:
     factors = tuple(name for name in first.factors if name in second.factors and name not in blocks)
     names = names_of(first, second)
     notes = _notes_on_factors(dict(zip(names, (first, second), strict=True)), factors, blocks)
-    ours, theirs = (_by_combination(each, factors) for each in (first, second))
+    same = {name: _written_otherwise(first.done[name], second.done[name]) for name in factors}
+    ours, theirs = _by_combination(first, factors), _by_combination(second, factors, same)
     notes += _notes_on_robots(first, second)
     for name, here, there in zip(names, (ours, theirs), (theirs, ours), strict=True):
         alone = [combination_label(_treatments(rows, factors)) for key, rows in here.items() if key not in there]
@@ -209,15 +210,31 @@ def _notes_on_batches(
         )
 
 
-def _by_combination(results: Results, factors: tuple[str, ...]) -> dict[tuple[str, ...], pd.DataFrame]:
+def _by_combination(
+    results: Results, factors: tuple[str, ...], names: Mapping[str, Mapping[str, str]] | None = None
+) -> dict[tuple[str, ...], pd.DataFrame]:
+    """Return the runs of each combination; `names` has other names of treatments, by factor."""
     done = results.done
     if not factors:
         return {(): done}
     by: dict[tuple[str, ...], pd.DataFrame] = {}
     for key, rows in done.groupby(list(factors), observed=True, sort=True):
-        # A treatment 1 becomes 1.0 beside 0.5, and must still match 1.
-        by[tuple(f"{each:.17g}" if isinstance(each, float) else str(each) for each in key)] = rows
+        texts = zip(factors, map(str, key), strict=True)
+        by[tuple((names or {}).get(name, {}).get(text, text) for name, text in texts)] = rows
     return by
+
+
+def _written_otherwise(ours: pd.Series, theirs: pd.Series) -> dict[str, str]:
+    """Return the names that we have for their treatments, where these are numbers that are written otherwise.
+
+    A treatment 1 becomes 1.0 beside 0.5, and a text beside `auto`. Of texts on both sides each is another treatment, as
+    versions 1 and 1.0 are.
+    """
+    if all(each.cat.categories.dtype == "str" for each in (ours, theirs)):
+        return {}
+    known, others = (list(map(str, each.cat.categories)) for each in (ours, theirs))
+    whole = {text.removesuffix(".0"): text for text in known if text not in others}
+    return {text: whole[same] for text in others if text not in known and (same := text.removesuffix(".0")) in whole}
 
 
 def _treatments(rows: pd.DataFrame, factors: tuple[str, ...]) -> tuple[str, ...]:

@@ -38,6 +38,7 @@ class AdoptedRun:
     Attributes:
         run_id: the run.
         started_at: when its first sample was taken, nanoseconds since 1970; None where that is not known.
+        begun: the time of the first sample, s on the clock of the samples; 0 where some are from before it.
         duration: s, from the first sample to the last; None without samples.
         recomputed: the measures that were computed from samples, in SI.
         spans: the extent of each file's samples.
@@ -47,6 +48,7 @@ class AdoptedRun:
 
     run_id: str
     started_at: int | None = None
+    begun: float = 0.0
     duration: float | None = None
     recomputed: Mapping[str, float | None] = field(default_factory=dict)
     spans: tuple[TraceSpan, ...] = ()
@@ -183,8 +185,9 @@ def _write_attempt(journal: Journal, understanding: Understanding, run: ForeignR
     which: dict[str, Any] = {"run": run.run_id, "attempt": 1}
     journal.append("attempt_started", at=begin, **which)
     if adopted.duration is not None:
-        journal.append("event", at=begin, **which, event="start_measurement", clock=0.0)
-        journal.append("event", at=end, **which, event="stop_measurement", clock=adopted.duration)
+        journal.append("event", at=begin, **which, event="start_measurement", clock=adopted.begun)
+        stopped = adopted.begun + adopted.duration
+        journal.append("event", at=end, **which, event="stop_measurement", clock=stopped)
     journal.append(
         "attempt_finished",
         at=end,

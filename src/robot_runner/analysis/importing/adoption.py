@@ -86,19 +86,26 @@ def _adopted(understanding: Understanding, folder: Path, run: ForeignRun) -> Ado
     everything = [(each, read_run_samples(each, path)) for path, each in known.items()]
     samples = [(each, read) for each, read in everything if len(read.nanoseconds)]
     zeros = _zeros(samples)
-    for each, read in samples:
-        _write_samples(each, read, zeros[each.time_kind], folder / each.name)
+    for (each, read), zero in zip(samples, zeros, strict=True):
+        _write_samples(each, read, zero, folder / each.name)
     files = sorted(path for path in run.folder.iterdir() if path.is_file())
     for path in files:
         if path not in known:
             (folder / "original").mkdir(parents=True, exist_ok=True)
             shutil.copyfile(path, folder / "original" / path.name)
     by_file = {each.file: read for each, read in samples}
-    ends = [float(read.nanoseconds[-1] - zeros[each.time_kind]) / 1e9 for each, read in samples]
+    begun, ended = (
+        [float(read.nanoseconds[edge] - zero) / 1e9 for (_, read), zero in zip(samples, zeros, strict=True)]
+        for edge in (0, -1)
+    )
+    # Times below 0 are from before the mission, which begins at 0.
+    first = 0.0 if min(begun, default=0.0) <= 0 <= max(ended, default=0.0) else min(begun)
+    moments = (zero for (each, _), zero in zip(samples, zeros, strict=True) if each.time_kind is TimeKind.MOMENT)
     return AdoptedRun(
         run.run_id,
-        started_at=zeros.get(TimeKind.MOMENT),
-        duration=max(ends, default=None),
+        started_at=next(moments, None),
+        begun=first,
+        duration=max(ended) - first if samples else None,
         recomputed={
             recipe.measure: recompute(recipe, by_file[recipe.file]) if recipe.file in by_file else None
             for recipe in understanding.recipes
@@ -115,16 +122,27 @@ def _span(samples: ForeignSamples, run: RunSamples) -> TraceSpan:
     return TraceSpan(samples.file, first, last, is_moment, len(run.nanoseconds), run.left_out, run.without_number)
 
 
-def _zeros(samples: Sequence[tuple[ForeignSamples, RunSamples]]) -> dict[TimeKind, int]:
-    """Return the zero of the run's clock for each kind of time: the first timestamp, or time of day, of all files.
+def _zeros(samples: Sequence[tuple[ForeignSamples, RunSamples]]) -> list[int]:
+    """Return the zero of each file's times, ns: the first timestamp, or time of day, of all files.
 
-    Times that count from an arbitrary start keep their zero.
+    Times that count from an arbitrary start keep their zero, unless they begin when the samples of other files are
+    over: then they count from before the run, as from the start of the computer, and are set beside the others.
     """
     firsts: dict[TimeKind, int] = {}
     for each, read in samples:
         first = 0 if each.time_kind is TimeKind.COUNTED else int(read.nanoseconds[0])
         firsts[each.time_kind] = min(firsts.get(each.time_kind, first), first)
-    return firsts
+    zeros = [firsts[each.time_kind] for each, _ in samples]
+    ends: list[int] = []
+    before = 0
+    for place in sorted(range(len(samples)), key=lambda place: int(samples[place][1].nanoseconds[0]) - zeros[place]):
+        (each, read), zero = samples[place], zeros[place]
+        first, last = (int(read.nanoseconds[edge]) - zero for edge in (0, -1))
+        if each.time_kind is TimeKind.COUNTED:
+            before = first if ends and first - before > max(ends) else before
+            zeros[place] += before
+        ends.append(last + zero - zeros[place])
+    return zeros
 
 
 def _write_samples(samples: ForeignSamples, run: RunSamples, zero: int, folder: Path) -> None:

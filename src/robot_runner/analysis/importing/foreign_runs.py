@@ -198,7 +198,7 @@ def _treatments(factor: str, table: ForeignTable) -> dict[str, str]:
     """Return the treatment of each cell of a factor; `1`, `01` and `1.0` are the same number."""
     cells = dict.fromkeys(table.column(factor))
     if table.is_boolean(factor):
-        return {cell: cell.capitalize() for cell in cells}
+        return {cell: cell.capitalize() if cell.casefold() in _TRUTH else cell for cell in cells}
     if not table.is_numeric(factor):
         return {cell: cell for cell in cells}
     texts: dict[float, str] = {}
@@ -217,6 +217,7 @@ def _run_notes(table: ForeignTable, roles: ColumnRoles, runs: Sequence[ForeignRu
         notes.append(f"{counted(len(running), 'run')} were being executed when the table was written: to do again")
     for name in roles.design:
         notes += _slips_of_the_pen(name, dict.fromkeys(run.treatments[name] for run in runs))
+        notes += _missing_treatments(name, Counter(run.treatments[name] for run in runs))
     for name in roles.measures:
         texts = [run.run_id for run in runs if isinstance(run.measures[name], str)]
         if texts and any(isinstance(run.measures[name], int | float) for run in runs):
@@ -236,6 +237,18 @@ def _slips_of_the_pen(name: str, treatments: Iterable[str]) -> Iterator[str]:
         other = spelt.setdefault(" ".join(text.casefold().split()), text)
         if other != text:
             yield f"{name} has {other!r} and {text!r}: two treatments here. If they are one, spell them alike"
+
+
+#: Words that no treatment has for a name, other than `None` and dashes, in small letters.
+_NO_NAMES = MISSING - {"none", "-", "\N{EN DASH}", "\N{EM DASH}"}
+
+
+def _missing_treatments(name: str, treatments: Mapping[str, int]) -> Iterator[str]:
+    """Yield a note for each treatment that is rather a missing value."""
+    for text, count in treatments.items():
+        if text.casefold() in _NO_NAMES:
+            told = f"{name} has {text!r} in {counted(count, 'run')}: a treatment here"
+            yield f"{told}. If it is missing, fill it in, or leave these runs out"
 
 
 #: Numbers of nines alone, by which programs tell that there is none, and how far they are from all others then.

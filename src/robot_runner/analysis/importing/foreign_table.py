@@ -11,7 +11,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import BinaryIO
 
-from robot_runner.analysis.importing.units import MISSING, Unit, plain_cells, split_heading
+from robot_runner.analysis.importing.units import MISSING, PlainCells, Unit, plain_cells, split_heading
 from robot_runner.core.errors import AnalysisError
 from robot_runner.core.storage.cells import number_of
 from robot_runner.core.storage.system_refusals import storage_error, storage_errors
@@ -21,6 +21,8 @@ _DELIMITERS = {",": "", ";": "semicolons", "\t": "tabs", "|": "bars"}
 #: The line by which Excel says what stands between the cells; it has none itself.
 _SEPARATOR = re.compile(rf'"?sep=([{"".join(_DELIMITERS)}])"?\s*', re.IGNORECASE)
 _DECIMAL_COMMA = re.compile(r"(?<![0-9])-?[0-9]+,[0-9]+(?![0-9,])")
+_GROUPED = re.compile(r"[+-]?[1-9]\d{0,2}\.\d{3}")
+_MINUS = re.compile(r"^\N{MINUS SIGN}(?=[\d.,])")
 #: The heading that pandas writes for a column without a name.
 _WRITTEN_FOR_NONE = re.compile(r"Unnamed: \d+(_level_\d+)?")
 
@@ -155,7 +157,7 @@ def read_foreign_table(path: Path, decimal: str | None = None) -> ForeignTable:
         with path.open(encoding=dialect.encoding, errors="replace", newline="") as file:
             lines = csv.reader(file, delimiter=dialect.delimiter)
             for row in lines:
-                if before >= dialect.blank_lines and any(cells := [cell.strip() for cell in row]):
+                if before >= dialect.blank_lines and any(cells := list(map(_trimmed, row))):
                     filled.append((before + 1, cells))
                 if len(filled) > _MOST_RUNS:
                     problem = f"the table has more than {_MOST_RUNS:,} rows: are they samples rather than runs?"
@@ -170,6 +172,11 @@ def read_foreign_table(path: Path, decimal: str | None = None) -> ForeignTable:
     if not filled:
         raise AnalysisError("the table is empty", where=str(path), fix="Name the file that holds the runs.")
     return _table(path, dialect, filled, decimal)
+
+
+def _trimmed(cell: str) -> str:
+    """Return a cell without blanks around it, a number with a hyphen in the place of a document's minus sign."""
+    return _MINUS.sub("-", cell.strip())
 
 
 def dialect_of(path: Path) -> CsvDialect:
@@ -252,7 +259,7 @@ def _table(
     commas = dialect.decimal_comma
     cells = {name: columns[place] for place, name in named.items()} if columns else {}
     plain = {name: plain_cells(each, decimal=decimal, has_decimal_commas=commas) for name, each in cells.items()}
-    if not commas and any(each.has_decimal_commas for each in plain.values()):
+    if not commas and (any(each.has_decimal_commas for each in plain.values()) or _may_group(dialect, plain)):
         # One column helps to read the others: if it has `870,5`, a `1.000` in another may be a thousand.
         plain = {name: plain_cells(each, decimal=decimal, has_decimal_commas=True) for name, each in cells.items()}
     notes += [f"{name} is written with {each.words}" for name, each in plain.items() if each.words and not commas]
@@ -267,6 +274,12 @@ def _table(
         {name: each.doubt for name, each in plain.items() if each.doubt},
         tuple(notes),
     )
+
+
+def _may_group(dialect: CsvDialect, plain: Mapping[str, PlainCells]) -> bool:
+    """Return whether all points in numbers may be between thousands, as where decimal commas call for semicolons."""
+    pointed = (cell for each in plain.values() for cell in each.cells if "." in cell and number_of(cell) is not None)
+    return dialect.delimiter == ";" and all(_GROUPED.fullmatch(cell) for cell in pointed)
 
 
 def _numbers_rows(cells: Sequence[str]) -> bool:

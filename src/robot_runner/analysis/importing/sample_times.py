@@ -30,6 +30,8 @@ _NANOSECONDS = {"s": 10**9, "ms": 10**6, "us": 10**3, "ns": 1, "min": 60 * 10**9
 _DAY = 24 * _NANOSECONDS["h"]
 _LATEST = 2**63  # ns since 1970 that fit into 64 bits, until 2262: a heading with a later time is wrong
 _CLOCK = re.compile(r"\d{1,2}:\d\d:\d\d(\.\d+)?")
+#: The directives of a format that tell the time of day, and the ones of these that tell the hour.
+_DIRECTIVE, _OF_DAY, _OF_HOUR = re.compile(r"%[-#]?(.)"), frozenset("HIpMSfzZTRXr%"), frozenset("HITRXr")
 _LOOKED_AT = 20  # texts of a column that are examined to recognise its format
 
 
@@ -102,12 +104,15 @@ def unit_words(unit: str, column: pa.ChunkedArray) -> str:
 
 def time_kind(unit: str, column: pa.ChunkedArray) -> TimeKind:
     """Return the zero of the times of a column."""
-    if unit == "clock":
-        return TimeKind.CLOCK
     if unit not in TIME_UNITS:
-        return TimeKind.MOMENT
+        return TimeKind.CLOCK if unit == "clock" or _is_of_day(unit) else TimeKind.MOMENT
     first = next(iter(column.drop_null()[:1].to_pylist()), 0) if is_number(column.type) else 0
     return TimeKind.MOMENT if first * _NANOSECONDS[unit] >= _EPOCHS["ns"] else TimeKind.COUNTED
+
+
+def _is_of_day(unit: str) -> bool:
+    """Return whether a format has no date: its times would be moments of the year 1900."""
+    return "%" in unit and _OF_DAY.issuperset(_DIRECTIVE.findall(unit))
 
 
 def nanoseconds_since_1970(number: float) -> int | None:
@@ -138,10 +143,7 @@ def nanoseconds_of(column: pa.ChunkedArray, unit: str, where: str) -> tuple[NDAr
     texts = pd.Series(column.to_pandas())
     if unit == "clock":
         spans = pd.to_timedelta(texts.astype("str"), errors="coerce").to_numpy("timedelta64[ns]")
-        times, valid = spans.astype(np.int64), ~np.isnat(spans)
-        known = times[valid]  # a missing value is smaller than all times: the next one would count as another day
-        times[valid] = known + _DAY * np.cumsum(np.diff(known, prepend=known[:1]) < -_DAY // 2)
-        return times, valid
+        return _past_midnight(spans.astype(np.int64), ~np.isnat(spans), _DAY)
     try:
         moments = pd.to_datetime(texts, utc=True, format="ISO8601" if unit == "iso" else unit)
     except ValueError as error:
@@ -149,7 +151,19 @@ def nanoseconds_of(column: pa.ChunkedArray, unit: str, where: str) -> tuple[NDAr
         problem = f"the times cannot be read: {str(error).partition(chr(10))[0]}"
         raise AnalysisError(problem, where=where, fix=fix) from error
     stamps = moments.dt.tz_localize(None).to_numpy("datetime64[ns]")
-    return stamps.astype(np.int64), ~np.isnat(stamps)
+    times, valid = stamps.astype(np.int64), ~np.isnat(stamps)
+    if not _is_of_day(unit):
+        return times, valid
+    return _past_midnight(times, valid, _NANOSECONDS["h"] if _OF_HOUR.isdisjoint(_DIRECTIVE.findall(unit)) else _DAY)
+
+
+def _past_midnight(
+    times: NDArray[np.int64], valid: NDArray[np.bool_], period: int
+) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    """Return times that begin anew after a period, such as those of a day, as times that go on."""
+    known = times[valid]  # a missing value is smaller than all times: the next one would count as another day
+    times[valid] = known + period * np.cumsum(np.diff(known, prepend=known[:1]) < -period // 2)
+    return times, valid
 
 
 _DURATION = re.compile(r"duration|mission|run_?time|exec(ution)?_?time|elapsed|wall", re.IGNORECASE)

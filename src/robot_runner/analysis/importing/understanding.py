@@ -18,7 +18,6 @@ from robot_runner.analysis.importing.foreign_runs import ForeignRun, read_runs
 from robot_runner.analysis.importing.foreign_samples import ForeignSamples, understand_samples
 from robot_runner.analysis.importing.foreign_table import ForeignTable, read_foreign_table
 from robot_runner.analysis.importing.recomputation import check_recipes, guess_recipes
-from robot_runner.analysis.importing.sample_times import TimeKind
 from robot_runner.analysis.importing.units import Unit, unit_of
 from robot_runner.core.design.columns import REPETITION, is_fit_for_heading, name_findings
 from robot_runner.core.errors import AnalysisError, Finding, StorageError, did_you_mean
@@ -143,7 +142,7 @@ class Understanding:
                     each.file,
                     each.name,
                     each.time,
-                    None if each.time_kind is TimeKind.CLOCK else each.time_unit,
+                    None if each.time_unit == "clock" else each.time_unit,
                     _symbols(each.units),
                 )
                 for each in self.samples
@@ -200,6 +199,8 @@ def understand(root: Path, said: ImportDescription) -> Understanding:
     check_recipes(said.recipes, samples)
     guessed = guess_recipes(units, samples, said.recipes) if said.guess else []
     computed = [each.measure for each in said.recipes if each.measure not in units]
+    if not units and not computed:
+        notes.append("no column is taken for a measure: nothing can be analysed. Name one with --measure")
     return Understanding(
         root=root,
         name=said.name or re.sub(r"[^A-Za-z0-9 ._-]+", "_", root.resolve().name).strip(" ._-")[:128] or "imported",

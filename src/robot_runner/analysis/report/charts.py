@@ -68,8 +68,8 @@ def course_chart(name: str, mission: MissionCourses) -> Chart:
     }
     some = f" Of single runs, one in {share} is shown." if share > 1 else ""
     caption = (
-        f"{mission.label}: mean of each treatment with a band of one standard deviation between runs, or each run. "
-        f"Drag to look closer; press twice for the whole.{some}"
+        f"{mission.label}: mean of each treatment's runs that last so long, with a band of one standard deviation "
+        f"between runs, or each run. Drag to look closer; press twice for the whole.{some}"
     )
     return Chart(name, "course", caption, data)
 

@@ -219,8 +219,8 @@ def _figures(measure: SampledMeasure, mission: MissionCourses) -> Iterator[Figur
     sizes = ", ".join(f"{course.label}: {course.runs}" for course in mission.means)
     yield FigureBlock(
         f"{name} means",
-        f"{over}, mean of all runs of each treatment (runs: {sizes}). {line}; band: one standard deviation between "
-        f"runs.{marks}",
+        f"{over}, mean of each treatment's runs that last so long (runs: {sizes}). {line}; band: one standard "
+        f"deviation between runs.{marks}",
         f"Mean {measure.title} of each treatment over time.",
         lambda: draw_mean_courses(mission),
     )

@@ -50,7 +50,12 @@ def surface_parts(material: Material, measure: MeasureStatistics) -> Iterator[Bl
 
 def surface_in_words(material: Material, measure: MeasureStatistics, surface: Surface) -> Iterator[str]:
     """Yield sentences on the fit of a surface and its stationary point."""
-    alpha = material.statistics.alpha
+    alpha, others = material.statistics.alpha, enumerated(surface.others)
+    if others:
+        yield (
+            f"The surface is that of the average over the treatments of {others}, which are taken to shift it as a "
+            "whole: whether they change its shape or its optimum is not tested."
+        )
     explained = f"The surface explains {shown_share(surface.r_squared)} of the variance"
     fit = surface.lack_of_fit
     if fit is None:
@@ -77,7 +82,8 @@ def surface_in_words(material: Material, measure: MeasureStatistics, surface: Su
     where = "within the region that was explored" if point.is_inside else "outside the region: do not rely on it"
     curvatures = "; ".join(f"{shown_number(each)} {shown_interval(of)}" for each, of in point.curvatures)
     value = with_unit(point.value, measure.unit)
-    yield f"Its stationary point is {kind}. It lies at {at}, {where}; {measure.name} is {value} there."
+    average = f"on average over {others}, " if others else ""
+    yield f"Its stationary point is {kind}. It lies at {at}, {where}; {average}{measure.name} is {value} there."
     yield f"Curvatures along its own axes, of coded factors: {curvatures}."
 
 
@@ -125,8 +131,9 @@ def surface_figure(material: Material, measure: MeasureStatistics) -> FigureBloc
         heights = surface.at(everywhere | {names[0]: along, names[1]: across})
         kind, sign, draw = "Contours", "a cross", partial(draw_contours, axes[0], axes[1], heights, label)
     over = f"over {enumerated(names)}"
+    average = f", on average over {enumerated(surface.others)}" if surface.others else ""
     stationary = f", {sign} the stationary point" if point else ""
-    caption = f"Response surface of {label} {over}; points are runs{stationary}.{held}"
+    caption = f"Response surface of {label} {over}{average}; points are runs{stationary}.{held}"
     return FigureBlock(f"surface {measure.name}", caption, f"{kind} of {measure.name} {over}.", draw)
 
 

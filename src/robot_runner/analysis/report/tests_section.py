@@ -52,10 +52,10 @@ from robot_runner.analysis.wording import (
     shown_test,
 )
 from robot_runner.core.design.analysis_plan import Estimand
-from robot_runner.core.words import combination_label, counted
+from robot_runner.core.words import combination_label, counted, enumerated
 
 if TYPE_CHECKING:
-    from robot_runner.analysis.statistics.outcome import MeasureStatistics, Power
+    from robot_runner.analysis.statistics.outcome import Correlation, MeasureStatistics, Power
 
 _PLANNED = Badge("planned", Tone.GOOD, "Measure, level and correction were fixed before the experiment.")
 _EXPLORATORY = Badge("exploratory", Tone.PLAIN, "The analysis was not fixed before the experiment.")
@@ -118,14 +118,21 @@ def _test(material: Material, measure: MeasureStatistics) -> Iterator[Block]:
             tone = Tone.PLAIN if standing.stands else Tone.WARNING
             yield Paragraph(standing.conclusion, tone, lead=standing.statement)
     method = test.method.value
-    if test.family_size > 1:
-        adjusted = f"p-values are adjusted for {counted(test.family_size, 'test')}: {test.family}."
-        yield Paragraph(adjusted, Tone.NOTE, lead="Family.")
+    if any(each.size > 1 for each in test.families):
+        yield Paragraph(_families(test), Tone.NOTE, lead="Family.")
     yield Paragraph(test.reason, lead=f"{method[:1].upper()}{method[1:]}.")
     caption = f"{material.results.label(measure.name)}: {method}."
     yield _effect_table(f"test {one_word(measure.name)}", caption, test, material.statistics.alpha)
     for note in test.notes:
         yield Paragraph(note, Tone.NOTE)
+
+
+def _families(test: MeasureTest) -> str:
+    """Return among how many tests p-values are adjusted, for each family of the tests of a measure."""
+    if len(test.families) == 1:
+        return f"p-values are adjusted for {counted(test.family_size, 'test')}: {test.family}."
+    told = (f"{enumerated(each.tests)} among {counted(each.size, 'test')} ({each.name})" for each in test.families)
+    return f"p-values are adjusted within families: {'; '.join(told)}."
 
 
 def _beside(material: Material, measure: MeasureStatistics, label: str) -> Iterator[Part]:
@@ -259,7 +266,9 @@ def _pair_table(measure: MeasureStatistics, label: str, post_hoc: PostHoc) -> Ta
         f"{post_hoc.method}; {_about_brackets(post_hoc)} Adjusted after "
         f"{correction_in_words(post_hoc.correction)}, and no smaller than the p-value of the effect."
     )
-    return build_table(name, f"{label}: {caption}.", post_hoc.comparisons, fields, note).without_blank(check)
+    return build_table(
+        name, f"{label}: {caption}, the first less the second.", post_hoc.comparisons, fields, note
+    ).without_blank(check)
 
 
 def _about_brackets(post_hoc: PostHoc) -> str:
@@ -308,6 +317,10 @@ def _size_on_two_lines(size: EffectSize) -> str:
 
 def _correlation_table(material: Material) -> Table:
     found, alpha = material.statistics.correlations, material.statistics.alpha
+
+    def is_significant(each: Correlation) -> bool:
+        return each.adjusted_p_value is not None and each.adjusted_p_value < alpha
+
     fields = (
         text("First", "first"),
         text("Second", "second"),
@@ -315,7 +328,7 @@ def _correlation_table(material: Material) -> Table:
         coefficient("Pearson's r", "pearson"),
         interval("CI", "pearson_interval", shown_coefficient),
         coefficient(f"Spearman's {RHO}", "spearman"),
-        p_value("Adjusted p", "adjusted_p_value", lambda each: (each.adjusted_p_value or 1.0) < alpha),
+        p_value("Adjusted p", "adjusted_p_value", is_significant),
         coefficient("r within treatments", "within"),
         text("Magnitude", "magnitude.value"),
     )

@@ -111,7 +111,8 @@ def analyse(
         beside[which] = tuple(each for each in redone[: len(names)] if each.name in again)
         otherwise = Otherwise(which, {each.planned.name: each.runs[which] for each in analysed}, design.covariates)
         standings += standing_effects(told, beside[which], otherwise)
-        standings += standing_hypotheses(judged, rejudged, otherwise, tuple(again))
+        both = [pair for pair in zip(done, redone, strict=True) if pair[0].name in again]
+        standings += standing_hypotheses(judged, rejudged, otherwise, both)
     measured = replace(design, covariates=())  # a measure adjusted for a covariate would not correlate with it
     correlated = () if results.is_exploratory else told
     known = [(of.name, replace(measured, without=runs_without_value(of.left_out))) for of in correlated if of.overall]
@@ -137,7 +138,10 @@ def analyse(
 
 def _checked(plan: AnalysisPlan, results: Results) -> AnalysisPlan:
     columns = [name for name in (results.repetition, results.block) if name is not None]
-    AnalysisError.refuse(plan.findings([*results.factors, *columns], results.measures))
+    treatments = {name: list(map(str, results.runs[name].cat.categories)) for name in results.factors}
+    findings = [*plan.findings([*results.factors, *columns], results.measures)]
+    findings += [each for of in plan.hypotheses for each in of.treatment_findings(treatments) if each.is_error]
+    AnalysisError.refuse(findings)
     return plan
 
 

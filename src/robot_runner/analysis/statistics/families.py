@@ -18,6 +18,7 @@ from robot_runner.analysis.statistics.tested import (
     Effect,
     MeasureTest,
     PostHoc,
+    TestFamily,
     TestMethod,
     named_within,
 )
@@ -149,23 +150,37 @@ def _measure(measure: MeasureStatistics, found: Mapping[Key, _Adjusted], alpha: 
     test = measure.test
     if test is None:
         return measure
-    known = [found[key] for key in _of(measure) if key in found]
     effects = [
         _effect(measure, effect, found.get(effect_key(measure.name, effect.factors)), alpha) for effect in test.effects
     ]
-    interacting = [effect.factors for effect in effects if len(effect.factors) > 1 and effect.is_significant]
-    compared = {1: None, **{len(each): each for each in interacting}}
-    shown = compared[max(compared)]
+    interacting = [{*effect.factors} for effect in effects if len(effect.factors) > 1 and effect.is_significant]
     post_hoc = tuple(
         _pairs(each, effect, alpha)
         for each in measure.post_hoc
         for effect in effects
-        if effect.factors == each.factors and (len(each.factors) == 1 or each.factors == shown)
+        if effect.factors == each.factors and (len(each.factors) == 1 or _is_largest({*each.factors}, interacting))
     )
-    of = known[0] if known else None
-    test = replace(test, family=of.family if of else "", family_size=of.size if of else 0)
+    families = tuple(_families(measure, test, found))
+    of = families[0] if families else TestFamily("", 0, ())
+    test = replace(test, family=of.name, family_size=of.size, families=families)
     worded = tuple(_worded(measure, test, effect, _pairs_of(post_hoc, effect)) for effect in effects)
     return replace(measure, test=replace(test, effects=worded), post_hoc=post_hoc)
+
+
+def _is_largest(factors: set[str], interacting: Sequence[set[str]]) -> bool:
+    """Return whether an interaction is significant, and no larger one that has its factors is."""
+    return factors in interacting and not any(factors < each for each in interacting)
+
+
+def _families(measure: MeasureStatistics, test: MeasureTest, found: Mapping[Key, _Adjusted]) -> Iterator[TestFamily]:
+    """Yield the families of the tests of a measure, each with its tests of this measure."""
+    tests: dict[tuple[str, int], list[str]] = {}
+    labels = [effect.label for effect in test.effects] + [each.statement for each in measure.contrasts]
+    for key, label in zip(_of(measure), labels, strict=True):
+        if key in found:
+            tests.setdefault((found[key].family, found[key].size), []).append(label)
+    for (name, size), several in tests.items():
+        yield TestFamily(name, size, tuple(several))
 
 
 def _effect(measure: MeasureStatistics, effect: Effect, found: _Adjusted | None, alpha: float) -> Effect:
@@ -205,7 +220,8 @@ def _worded(measure: MeasureStatistics, test: MeasureTest, effect: Effect, pairs
         what = named_within(enumerated(effect.factors), effect.within)
         return replace(effect, conclusion=f"The effect of {what} was not computed: {why}")
     words = _claim(measure, test, effect, pairs)
-    return replace(effect, conclusion=f"{words}{_check_in_words(effect, is_corrected=test.family_size > 1)}")
+    is_corrected = any(effect.label in each.tests and each.size > 1 for each in test.families)
+    return replace(effect, conclusion=f"{words}{_check_in_words(effect, is_corrected=is_corrected)}")
 
 
 def _claim(measure: MeasureStatistics, test: MeasureTest, effect: Effect, pairs: Sequence[Comparison]) -> str:
@@ -287,9 +303,9 @@ def judge(
             hypothesis, None, None, None, f"It could not be tested: {_reason(hypothesis, measure)}"
         )
     is_supported = adjusted_p.p_value < alpha
-    verdict = (
-        "The data support it" if is_supported else "The data do not support it, which is not proof of the contrary"
-    )
+    verdict = "The data do not support it, which is not proof of the contrary"
+    if is_supported:  # in which direction a statement is meant is not known: tests are of either
+        verdict = f"The data support it{', unless it claims another direction' * (hypothesis.within is None)}"
     figures = f"{p_in_words(adjusted_p.p_value)} after correction for {counted(adjusted_p.size, 'test')}"
     conclusion = f"{verdict} ({figures}). {_result_in_words(tested, measure)}"
     return HypothesisOutcome(hypothesis, tested.p_value, adjusted_p.p_value, is_supported, conclusion)

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self
 
 from robot_runner.analysis.run_frame import treatment_texts
 from robot_runner.analysis.statistics.aliasing import aliasing_of
@@ -101,6 +101,21 @@ class KnownDesign:
             model=str(facts.get("model", "")),
             coding=dict(_coded(facts.get("ranges"))),
             base={str(name): str(text) for name, text in base.items()} if isinstance(base, dict) else {},
+        )
+
+    def with_name(self, old: str, new: str) -> Self:
+        """Return the same design with a factor or a treatment renamed."""
+
+        def named(term: Iterable[str]) -> Term:
+            return tuple(new if name == old else name for name in term)
+
+        return replace(
+            self,
+            coding=dict(zip(named(self.coding), self.coding.values(), strict=True)),
+            base=dict(zip(named(self.base), named(self.base.values()), strict=True)),
+            terms=tuple(map(named, self.terms)),
+            aliases={named(term): tuple(map(named, of)) for term, of in self.aliases.items()},
+            half_aliases=frozenset(map(named, self.half_aliases)),
         )
 
     @property

@@ -15,9 +15,9 @@ from scipy import stats
 from robot_runner.analysis.arrays import Floats
 from robot_runner.analysis.statistics.adjusted_means import AdjustedMeans
 from robot_runner.analysis.statistics.analysed_design import BATCH, VALUE, MeasureData
+from robot_runner.analysis.statistics.cell_layout import layout_of
 from robot_runner.analysis.statistics.descriptive import quiet
 from robot_runner.analysis.statistics.effect_sizes import cliffs_delta, cohens_d, paired_rank_biserial, vargha_delaney
-from robot_runner.analysis.statistics.linear_model import FittedModel
 from robot_runner.analysis.statistics.tested import (
     Comparison,
     ContrastTest,
@@ -39,6 +39,9 @@ if TYPE_CHECKING:
 
     #: The treatments of a group of runs, by factor.
     Group = Mapping[str, str]
+
+#: Significant digits of values whose differences are ranked: floating-point numbers have two more.
+_DIGITS = 13
 
 #: The most pairs, those of 15 treatments: more can neither be read nor tested with any power.
 MOST_PAIRS = 105
@@ -166,7 +169,10 @@ def contrast_of(model: AnyModel, hypothesis: Hypothesis, estimand: Estimand) -> 
     if factor in levels and weights is None and len(levels[factor]) == 2:  # noqa: PLR2004
         weights = dict(zip(levels[factor], (1.0, -1.0), strict=True))
     if factor not in levels or weights is None or not set(weights) <= set(levels[factor]):
-        why = f"its treatments are not those of {factor}: {', '.join(levels.get(factor, ()))}."
+        of = f"{factor}: {', '.join(levels.get(factor, ()))}"
+        why = f"its treatments are not those of {of}."
+        if factor in levels and weights is None:
+            why = f"a bound is of two treatments, and it names none by a contrast of those of {of}."
         return NotComputed(_test_of(hypothesis), why)
     with quiet():
         return model.difference([({factor: level}, weight) for level, weight in weights.items()])
@@ -258,7 +264,8 @@ class _RankSizes:
     """The rank-based effect sizes of pairs of treatments of the same factors.
 
     Attributes:
-        data: the runs; None if there are no such sizes: for special designs, and for incomplete blocks.
+        data: the runs, or the mean of each combination in each complete block; None if there are no such sizes: for
+            special designs, and where too many blocks are incomplete.
         values: of the runs of each treatment (or combination), by the combination of the other factors and the batch;
             empty if comparisons are within blocks.
         level: of the intervals.
@@ -278,9 +285,10 @@ class _RankSizes:
         """
         found: defaultdict[tuple[str, ...], dict[tuple[str, ...], Floats]] = defaultdict(dict)
         is_adjusted = isinstance(model, AdjustedMeans)
-        if not data.known.is_plain or (data.is_blocked and isinstance(model, FittedModel)):
+        runs = model.adjusted_data(data) if isinstance(model, AdjustedMeans) else data
+        ranked = runs if not data.is_blocked else _complete_blocks(runs)
+        if ranked is None or not data.known.is_plain:
             return cls(None, found, 1 - choices.alpha, is_adjusted)
-        ranked = model.adjusted_data(data) if isinstance(model, AdjustedMeans) else data
         if not data.is_blocked:
             compared = {*factors, *ranked.others(tuple(factors))}
             names = [name for name in ranked.factors if name in compared]
@@ -310,6 +318,18 @@ class _RankSizes:
             yield vargha_delaney(delta)
 
 
+def _complete_blocks(data: MeasureData) -> MeasureData | None:
+    """Return the mean of each combination in each complete block as one run; None if too many blocks are incomplete.
+
+    Means of all runs in a block would differ by another factor where these are unequal, or one combination lacks.
+    """
+    layout = layout_of(data)
+    if layout is None:
+        return None
+    frame = data.frame.iloc[layout.rows[layout.starts]]
+    return replace(data, frame=frame.assign(**{VALUE: layout.units(data.values).ravel()}))
+
+
 def _within_blocks(data: MeasureData, pair: tuple[Group, Group]) -> Floats | None:
     """Return the difference in each block that has both treatments; None without such blocks."""
     means = []
@@ -317,4 +337,6 @@ def _within_blocks(data: MeasureData, pair: tuple[Group, Group]) -> Floats | Non
         rows = np.all([data.frame[name].astype(str) == level for name, level in treatments.items()], axis=0)
         means.append(data.frame[VALUE][rows].groupby(data.blocks[rows]).mean())
     differences = (means[0] - means[1]).dropna().to_numpy(dtype=np.float64)
-    return differences if len(differences) else None
+    # Equal differences of decimal fractions, as 0.3 - 0.2 and 0.2 - 0.1, differ in binary, and would be no ties.
+    digits = _DIGITS - math.ceil(math.log10(np.max(np.abs(data.values))))
+    return np.round(differences, digits) if len(differences) else None

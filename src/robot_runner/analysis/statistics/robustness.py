@@ -14,6 +14,7 @@ from robot_runner.core.words import counted, enumerated
 if TYPE_CHECKING:
     from robot_runner.analysis.results import Results
     from robot_runner.analysis.statistics.tested import Effect
+    from robot_runner.core.design.hypothesis import Hypothesis
 
 
 class Otherwise(NamedTuple):
@@ -70,20 +71,32 @@ def standing_hypotheses(
     outcomes: Sequence[HypothesisOutcome],
     without: Sequence[HypothesisOutcome],
     otherwise: Otherwise,
-    measures: Sequence[str],
+    measures: Sequence[tuple[MeasureStatistics, MeasureStatistics]],
 ) -> Iterator[Standing]:
-    """Yield, for each hypothesis on one of these measures, whether its outcome stands."""
+    """Yield, for each hypothesis on one of these measures, whether its outcome stands.
+
+    Args:
+        outcomes: of the hypotheses.
+        without: those of the sensitivity analysis.
+        otherwise: the difference between the two analyses.
+        measures: the planned statistics of each measure, and those of the sensitivity analysis.
+    """
+    by_name = {planned.name: (planned, changed) for planned, changed in measures}
     for now, then in zip(outcomes, without, strict=True):
         measure = now.hypothesis.measure
-        if measure not in measures or now.is_supported is None:
+        if measure not in by_name or now.is_supported is None:
             continue
         p_value = then.adjusted_p_value
         if p_value is None:
             text, stands = "it could not be tested", None
         else:
-            stands = now.is_supported == then.is_supported
+            turned = bool(then.is_supported) and _has_turned(now.hypothesis, *by_name[measure])
+            stands = now.is_supported == then.is_supported and not turned
             supported = "support" if then.is_supported else "do not support"
-            text = f"the data {'still ' if stands else ''}{supported} it ({p_in_words(p_value)} after correction)"
+            other = " in the other direction" if turned else ""
+            text = (
+                f"the data {'still ' if stands else ''}{supported} it{other} ({p_in_words(p_value)} after correction)"
+            )
         yield Standing(
             measure,
             tuple(now.hypothesis.factors),
@@ -95,6 +108,18 @@ def standing_hypotheses(
             f"{otherwise.in_words(measure)} {text}{_verdict(stands, otherwise.beside)}",
             otherwise.beside,
         )
+
+
+def _has_turned(hypothesis: Hypothesis, planned: MeasureStatistics, changed: MeasureStatistics) -> bool:
+    """Return whether the contrast of a hypothesis, or the difference of its two treatments, has changed its sign."""
+    if hypothesis.within is not None:
+        return False
+    if not hypothesis.is_contrast:
+        return _turned(planned, changed, hypothesis.factors)
+    now, then = (
+        [each.estimate for each in of.contrasts if each.statement == hypothesis.statement] for of in (planned, changed)
+    )
+    return len(now) == len(then) == 1 and now[0] * then[0] < 0
 
 
 def gathered(standings: Sequence[Standing], most: int) -> Iterator[str]:
@@ -130,7 +155,7 @@ def _standing_effect(
         why = without.not_computed[0].why if without.not_computed else "no test fits."
         text, stands = f"the {what} cannot be tested: {why.rstrip('.')}", None
     else:
-        turned = _turned(measure, without, effect)
+        turned = _turned(measure, without, effect.factors)
         stands = effect.is_significant == then.is_significant and not (then.is_significant and turned)
         figures = p_values_in_words(p_value, then.adjusted_p_value)
         text = f"the {what} is {_changed(effect, then, turned=turned)} ({figures})"
@@ -154,10 +179,10 @@ def _changed(effect: Effect, then: Effect, *, turned: bool) -> str:
     return "no longer significant" if effect.is_significant else "still not significant"
 
 
-def _turned(measure: MeasureStatistics, without: MeasureStatistics, effect: Effect) -> bool:
+def _turned(measure: MeasureStatistics, without: MeasureStatistics, factors: Sequence[str]) -> bool:
     """Return whether the difference of two treatments has changed its sign."""
     now, then = (
-        [pair.difference for each in of.post_hoc if each.factors == effect.factors for pair in each.comparisons]
+        [pair.difference for each in of.post_hoc if each.factors == tuple(factors) for pair in each.comparisons]
         for of in (measure, without)
     )
     return len(now) == len(then) == 1 and now[0] * then[0] < 0

@@ -249,6 +249,23 @@ class Effect:
 
 
 @dataclass(frozen=True, slots=True)
+class TestFamily:
+    """A family of tests, over which the error rate is controlled.
+
+    Attributes:
+        name: its tests, in words.
+        size: their number, of all measures.
+        tests: those of one measure, by their labels.
+    """
+
+    __test__ = False  # no tests for pytest
+
+    name: str
+    size: int
+    tests: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
 class MeasureTest:
     """The test of a measure, which the design and the plan determine.
 
@@ -257,11 +274,12 @@ class MeasureTest:
         estimand: `mean`, `trimmed mean`, `rank`, or `proportion` for a yes-or-no measure.
         reason: a sentence on why this test is used.
         effects: its results, main effects first.
-        family: the tests over which the error rate is controlled, in words.
+        family: the tests over which the error rate is controlled, in words; of several families, the first.
         family_size: their number.
         spread: the standard deviation for Cohen's d; None if there is none.
         library: the library that computed it, with its version.
         notes: further notes for readers, such as that an interaction could not be estimated.
+        families: all families that its tests belong to.
     """
 
     method: TestMethod
@@ -273,6 +291,7 @@ class MeasureTest:
     spread: float | None
     library: str
     notes: tuple[str, ...] = ()
+    families: tuple[TestFamily, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

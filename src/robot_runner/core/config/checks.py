@@ -76,16 +76,7 @@ def check_analysis(parameters: Parameters, model: RunTableModel | None, columns:
     findings = list(parameters.analysis.findings(blocks, columns.names))
     listed = {factor.name: factor.texts for factor in model.factors if factor.range is None}
     for hypothesis in parameters.analysis.hypotheses:
-        known = listed.get(hypothesis.factors[0], hypothesis.contrast or ())
-        findings += [
-            Finding.error(
-                f"analysis, hypothesis {hypothesis.statement!r}",
-                f"{text!r}, in the contrast, is not a treatment of {hypothesis.factors[0]!r}",
-                did_you_mean(text, known),
-            )
-            for text in hypothesis.contrast or ()
-            if text not in known
-        ]
+        findings += hypothesis.treatment_findings(listed)
     own = as_configured(model)
     taken_out = {*own.design_facts.get("block_columns", ()), own.blocks, parameters.analysis.blocks}
     findings += [

@@ -7,10 +7,11 @@ from dataclasses import dataclass
 from typing import Any
 
 from robot_runner.core.design.numeric_range import is_number
-from robot_runner.core.errors import DesignError, Finding
+from robot_runner.core.errors import DesignError, Finding, did_you_mean
 
 #: Weights of a contrast whose sum is smaller count as summing up to zero (rounding).
 _ROUNDING = 1e-9
+_OF_A_BOUND = 2
 
 
 @dataclass(frozen=True, slots=True, init=False)
@@ -70,6 +71,23 @@ class Hypothesis:
     def is_contrast(self) -> bool:
         """Whether it claims something of a weighted sum of means; else that its factors have an effect."""
         return self.contrast is not None or self.within is not None
+
+    def treatment_findings(self, treatments: Mapping[str, Sequence[str]]) -> Iterator[Finding]:
+        """Yield what a design's treatments, by factor, leave untested: a contrast of others, or a bound of several.
+
+        Nothing is said of factors whose treatments are not given.
+        """
+        where, factor = f"analysis, hypothesis {self.statement!r}", self.factors[0]
+        known = treatments.get(factor)
+        if known is None:
+            return
+        for text in self.contrast or ():
+            if text not in known:
+                problem = f"{text!r}, in the contrast, is not a treatment of {factor!r}"
+                yield Finding.error(where, problem, did_you_mean(text, known))
+        if self.within is not None and self.contrast is None and len(known) != _OF_A_BOUND:
+            problem = f"the bound is of two treatments, and {factor!r} has {len(known)}, so that it cannot be tested"
+            yield Finding.warning(where, problem, f"Name two, as in contrast={{{known[0]!r}: 1, {known[-1]!r}: -1}}.")
 
     def as_mapping(self) -> dict[str, Any]:
         """Return the hypothesis as plain data; what it does not have is left out."""
