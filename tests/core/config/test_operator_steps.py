@@ -109,6 +109,8 @@ def test_an_answer_has_the_type_of_its_question(question: Question, text: str, v
         (Question("a", bool), "maybe", "'maybe' is neither yes nor no"),
         (Question("a"), "red\x1b[31m", "the text holds characters that cannot be printed"),
         (Question("a", float), "inf", "'inf' is not finite"),
+        (Question("a", float), "11_8", "'11_8' is not a number"),  # in Python, but what was meant is 11.8
+        (Question("a", int), "1_1", "'1_1' is not a whole number"),
         (Question("a", int), "9" * 5000, "is not a whole number"),
         (Question("a", int), "9" * 400, "'9{400}' is not finite"),
     ],

@@ -301,6 +301,13 @@ def test_everything_that_cannot_be_added_is_said_at_once() -> None:
     ]
 
 
+def test_a_number_with_an_underscore_is_no_treatment() -> None:
+    """Python takes `0_3` for 3, and the robot would drive ten times as fast as was meant."""
+    for factor in (Factor("Speed", [0.1, 0.2]), Factor("Speed", [1, 2])):
+        (problem,) = findings(RunTableModel([factor]), Additions(treatments={"Speed": ["0_3"]}))
+        assert "'0_3' is not of type" in problem
+
+
 def test_a_new_factor_of_the_config_needs_the_treatment_that_the_runs_so_far_had() -> None:
     model = RunTableModel([TASK])
     now = RunTableModel([TASK, Factor("Floor", ["carpet", "wood"])])

@@ -1,8 +1,6 @@
 from __future__ import annotations
 
 from robot_runner.core.design.design import HeldOrder
-from robot_runner.core.design.factor import Factor
-from robot_runner.core.design.run_table_model import RunTableModel
 
 HELD = HeldOrder(one_by_one="Robot", rest_between="Period", rest_in_s=60.0)
 
@@ -22,10 +20,9 @@ def test_runs_of_one_unit_wait_for_each_other_and_whole_plots_for_all_before() -
 
 
 def test_a_unit_rests_between_its_periods_and_at_no_other_time() -> None:
-    factors = [Factor("Robot", ["A", "B"]), Factor("Period", [1, 2])]
-    runs = RunTableModel(factors, repetitions=2, blocks="Repetition").plan()
-    ordered = sorted(runs, key=lambda run: (run.combination["Robot"], run.combination["Period"]))
-    assert HELD.rests(ordered) == {ordered[2].run_id: 60.0, ordered[6].run_id: 60.0}
-    beside = sorted(runs, key=lambda run: run.combination["Period"])
-    assert set(HELD.rests(beside)) == {run.run_id for run in beside[4:6]}
-    assert HeldOrder(one_by_one="Robot").rests(ordered) == {}
+    first, second = {"Robot": "A", "Period": 1}, {"Robot": "A", "Period": 2}
+    assert HELD.rest_before(first, None) == 0.0, "it has had no run"
+    assert HELD.rest_before(first, first) == 0.0
+    assert HELD.rest_before(second, first) == HELD.rest_before(first, second) == 60.0
+    assert HELD.rest_before(second, {"Robot": "A", "Period": "2"}) == 0.0, "as the journal has it"
+    assert HeldOrder(one_by_one="Robot").rest_before(second, first) == 0.0

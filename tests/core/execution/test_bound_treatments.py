@@ -374,3 +374,31 @@ class RunnerConfig:
     finished = execute_experiment(prepare_or_refuse(config), SilentObserver())
     assert finished.done_count == 2
     assert [each.problem for each in finished.findings if "looked at" in each.problem] == []
+
+
+AFTER_RUNS = """
+class After(Meter):
+    def claims(self, robot):
+        return ()
+
+    def continue_experiment(self, context):
+        context.publish("Used", self.rate)
+        return True
+
+
+class RobotRunnerConfig(RobotRunnerConfig):
+    operation_type = OperationType.SEMI
+    claims = []
+"""
+
+
+@pytest.mark.long
+def test_what_a_plugin_does_after_a_run_is_done_with_its_treatments_though_others_have_begun(execute: Execute) -> None:
+    body = 'plugins = [After(treatment("Rate"), name="Meter")]\ndef before_experiment(self): return True\n'
+    body += "def populate_run_data(self, context): return {'Used': 0.0}\n"
+    table = RATES.replace("1.0, 2.0, 3.0", "1.0, 2.0, 3.0, 4.0")
+    executed = execute(body, head=HEAD + AFTER_RUNS, table=table, workers=2)
+    last = {each["run"]: each["measures"]["Used"]["value"] for each in executed.journal("attempt_finished")}
+    rates = {row["run_id"]: float(row["Rate"]) for row in executed.table}
+    assert sum(map(bool, last.values())) == 2, "one after a run at each place that another follows there"
+    assert {run: rates[run] for run, value in last.items() if value} == {run: v for run, v in last.items() if v}

@@ -55,6 +55,18 @@ def test_a_robot_that_was_set_aside_is_told_until_the_next_session_in_which_it_t
     assert history.findings == []
 
 
+def test_what_ended_a_session_is_told_until_the_next_one() -> None:
+    history = ExperimentHistory()
+    failed = {"kind": "failure", "owner": "config", "problem": "OSError: the arm is not parked"}
+    history.take({**failed, "event": "after_experiment"})
+    history.take({**failed, "event": "continue", "run": "r_1", "attempt": 1})
+    history.take({**failed, "event": "launch_mission", "run": "r_1", "attempt": 1})  # is told with the run
+    told = [f"{event} of config: OSError: the arm is not parked" for event in ("after_experiment", "continue")]
+    assert [str(each) for each in history.findings] == told
+    history.take({"kind": "experiment_started", "at": "2026-01-31T12:00:00.000Z"})
+    assert history.findings == []
+
+
 def test_a_session_took_as_long_however_the_clock_was_set_meanwhile() -> None:
     history = ExperimentHistory()
     history.take({"kind": "experiment_started", "at": "2026-01-31T12:00:00.000Z"})

@@ -9,14 +9,26 @@ from collections import defaultdict
 from typing import TYPE_CHECKING
 
 import pytest
+from tests.conftest import written_config
+from tests.core.execution.conftest import Executed, RecordingObserver
 
 from robot_runner import ConditionError, Gate, GatePolicy, Guard, GuardAction, port_open
-from robot_runner.core.config.preparation import prepare
+from robot_runner.core.config.preparation import prepare, prepare_or_refuse
 from robot_runner.core.errors import LinkError
 from robot_runner.core.events.context import SystemClock
 from robot_runner.core.execution import executor, run_events
 from robot_runner.core.execution.experiment_status import read_status
-from robot_runner.core.execution.notices import FindingsNoticed, GatePassed, GateWaiting
+from robot_runner.core.execution.notices import (
+    AttemptFinished,
+    ExperimentStarted,
+    FindingsNoticed,
+    GatePassed,
+    GateWaiting,
+    Notice,
+    Paused,
+)
+from robot_runner.core.execution.orchestrator import execute_experiment
+from robot_runner.core.storage.lock import leave_request
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -107,6 +119,57 @@ def test_a_process_stands_by_for_each_run_and_for_no_gate(execute: Callable, mon
     monkeypatch.setattr(executor, "Standby", lambda _systems, _experiment, task: asked.append(task.run_id))
     assert gated(execute, "Gate(SecondLook(), timeout_s=60)").finished.done_count == 4
     assert asked == ["r_1", "r_2", "r_3", "r_4"]
+
+
+class _Pausing(RecordingObserver):
+    """Somebody who asks for a pause as soon as a gate is awaited, and ends it."""
+
+    def notice(self, notice: Notice) -> None:
+        super().notice(notice)
+        told = [type(each) for each in self.notices]
+        if isinstance(notice, GateWaiting) and told.count(GateWaiting) == 1:
+            leave_request(self.folder / ".pause")
+        elif isinstance(notice, Paused):
+            (notice.folder / ".pause").unlink()
+
+    @property
+    def folder(self) -> Path:
+        return next(each.folder for each in self.notices if isinstance(each, ExperimentStarted))
+
+
+def test_a_pause_that_is_asked_for_while_a_gate_is_awaited_comes_before_the_run_and_the_gate_again_after_it(
+    tmp_path: Path,
+) -> None:
+    config = written_config(tmp_path, f"gates = [Gate(SecondLook())]\n{BODY}", head=HEAD, table=ONE_RUN)
+    observer = _Pausing()
+    finished = execute_experiment(prepare_or_refuse(config), observer)
+    executed = Executed(config, finished, observer.notices)
+    told = executed.journal("gate", "paused", "continued", "attempt_started")
+    assert [each.get("state", each["kind"]) for each in told] == [
+        *("waiting", "open", "paused", "continued"),
+        *("waiting", "open", "attempt_started"),
+    ]
+    assert finished.done_count == 1
+
+
+def test_a_pause_that_is_asked_for_before_another_attempt_comes_before_it(tmp_path: Path) -> None:
+    fails_once = "attempts = 2\ndef start_run(self, context):\n    assert context.attempt > 1\n"
+    body = f"gates = [Gate(SecondLook())]\n{BODY}{fails_once}"
+    config = written_config(tmp_path, body, head=HEAD, table=ONE_RUN)
+
+    class Pausing(_Pausing):
+        def notice(self, notice: Notice) -> None:
+            RecordingObserver.notice(self, notice)
+            if isinstance(notice, AttemptFinished) and not notice.is_last:
+                leave_request(self.folder / ".pause")
+            elif isinstance(notice, Paused):
+                (notice.folder / ".pause").unlink()
+
+    observer = Pausing()
+    finished = execute_experiment(prepare_or_refuse(config), observer)
+    told = Executed(config, finished, observer.notices).journal("paused", "attempt_started")
+    assert [each["kind"] for each in told] == ["attempt_started", "paused", "attempt_started"]
+    assert finished.done_count == 1
 
 
 @pytest.mark.long

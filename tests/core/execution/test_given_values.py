@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 import time
@@ -103,6 +104,16 @@ def test_a_value_of_a_plugin_from_the_environment_that_changes_is_told_like_a_ch
     assert (first["given"]["Meter.gain"], second["given"]["Meter.gain"]) == (1.0, 5.0)
     assert second["changed_values"] == {"Meter.gain": {"was": 1.0, "is": 5.0}}
     assert start(config).done_count == 2  # it was accepted, and is told once
+
+
+def test_a_value_that_equals_the_small_process_id_of_a_container_is_recorded(
+    of_meter: Callable[..., Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    experiment = prepare_or_refuse(of_meter("gain=1, limits=(1.0, 60)"))
+    for process in (1, 60):
+        monkeypatch.setattr(os, "getpid", lambda own=process: own)
+        values = given_values(experiment)
+        assert (values["Meter.gain"], values["Meter.limits"]) == (1, [1.0, 60])
 
 
 @pytest.mark.parametrize(

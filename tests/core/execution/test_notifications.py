@@ -11,6 +11,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
 import pytest
@@ -22,14 +23,13 @@ from robot_runner.core.config.preparation import prepare, prepare_or_refuse
 from robot_runner.core.errors import ExecutionError
 from robot_runner.core.execution import notifications
 from robot_runner.core.execution.interruption import Interruption
-from robot_runner.core.execution.notices import GateWaiting, WaitingForUser
+from robot_runner.core.execution.notices import AttemptFinished, ExperimentStarted, GateWaiting, WaitingForUser
 from robot_runner.core.execution.notifications import Notifications
 from robot_runner.core.execution.orchestrator import execute_experiment
 from robot_runner.core.execution.processes import children
+from robot_runner.core.execution.task import AttemptStatus, RunOutcome, RunTask
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from robot_runner.core.execution.notices import Notice
 
 Execute = Callable[..., Any]
@@ -132,6 +132,45 @@ def test_a_gate_that_waits_for_long_is_told_once(
         assert sent.findings(interruption) == ()
     assert [(each["title"], each["message"]) for each in server.messages] == [
         ("trial waits", "Before r_3, until the CPU is below 50 °C. Seen last: 52.3 °C")
+    ]
+
+
+@pytest.fixture
+def titles(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Callable[[list[Notice], str], list[str]]:
+    """Return what takes notices and returns the titles of what would be sent."""
+
+    def sent(taken: list[Notice], asked: str = "") -> list[str]:
+        experiment = prepare_or_refuse(written_config(tmp_path, f"notify = Notify({asked})"))
+        messages: list[Any] = []
+        told = Notifications(experiment, lambda *_, **__: None)
+        monkeypatch.setattr(told, "_send", messages.append)
+        for each in taken:
+            told.take(each)
+        return [f"{each.title}: {each.body.splitlines()[0]}" for each in messages]
+
+    monkeypatch.setenv("ROBOT_RUNNER_NOTIFY", "json://127.0.0.1:9/")
+    return sent
+
+
+def test_gates_that_wait_side_by_side_are_told_once_each(titles: Callable[..., list[str]]) -> None:
+    robots = [GateWaiting(run, 3, 4, "the battery is charged", "70 %", 60.0, None) for run in ("r_3", "r_4")]
+    told = titles(robots * 5)
+    assert [each.partition(",")[0] for each in told] == ["trial waits: Before r_3", "trial waits: Before r_4"]
+
+
+def test_a_run_that_another_robot_makes_up_for_has_not_failed(titles: Callable[..., list[str]]) -> None:
+    def ended(run: str, status: AttemptStatus) -> AttemptFinished:
+        task = RunTask(run, 1, 3, 1, {}, 1, 0, 0)
+        return AttemptFinished(task, RunOutcome(status), is_last=True)
+
+    failed, done = AttemptStatus.FAILED, AttemptStatus.DONE
+    runs = [ended("r_1", failed), ended("r_2", done), ended("r_1", done), ended("r_3", failed)]
+    begun = ExperimentStarted("trial", Path(), 4, 0, 1, {}, {})
+    assert titles([begun, *runs], "on=[], every=1") == [
+        "trial: 0 of 4 runs done, 1 failed: It goes on.",
+        "trial: 1 of 4 runs done, 1 failed: It goes on.",
+        "trial: 2 of 4 runs done: It goes on.",
+        "trial: 2 of 4 runs done, 1 failed: It goes on.",
     ]
 
 

@@ -249,6 +249,7 @@ class Preparing:
                 observer=SimpleNamespace(user_input=None),
                 notify=lambda _: None,
                 is_interrupted=False,
+                is_ending=False,
             )
         )
         self.folder = folder
@@ -500,6 +501,20 @@ def test_who_has_done_a_step_is_not_asked_again_whether_the_run_may_start(execut
     body = "operation_type = OperationType.SEMI\n" + steps('OperatorStep("swap the battery", every=2)')
     _, person = execute(body)
     assert person.asked == [("swap the battery", "r_1"), ("", "r_2"), ("swap the battery", "r_3"), ("", "r_4")]
+
+
+def test_in_semi_no_attempt_starts_before_somebody_has_said_so(execute: Callable) -> None:
+    body = """
+operation_type = OperationType.SEMI
+attempts = 2
+def launch_mission(self, context): assert context.attempt == 2 or context.run_id == "r_3"
+"""
+    table = TABLE.replace("repetitions=2", "repetitions=3")
+    swap = 'OperatorStep("place the robot", before={"Task": "Network"})'
+    chosen = Resumption(only=("r_1", "r_2", "r_3"))
+    _, person = execute(body + steps(swap), lambda _: "\n", chosen, table=table)
+    place = "place the robot"
+    assert person.asked == [("", "r_1"), ("", "r_1"), (place, "r_2"), (place, "r_2"), ("", "r_3")]
 
 
 def test_a_factor_that_a_person_applies_counts_as_read(execute: Callable) -> None:

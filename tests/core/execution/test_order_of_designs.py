@@ -87,6 +87,21 @@ def test_units_of_a_crossover_go_on_side_by_side_each_in_its_periods_with_its_re
 
 
 @pytest.mark.long
+def test_a_unit_rests_before_a_run_of_an_earlier_period_that_is_made_up_for(execute: Callable[..., Any]) -> None:
+    """It had failed in the session before, in which the unit has had its other period since."""
+    body = BODY.replace("FailurePolicy.STOP", "FailurePolicy.CONTINUE").replace("run_number == 7", "run_number == 1")
+    table = CROSSOVER.replace('["A", "B", "C", "D"]', '["A", "B"]').replace("[1, 2, 3, 4]", "[1, 2]")
+    table = table.replace('list("abcd")', 'list("ab")').replace("0.2", "1.0")
+    assert execute(body, head=DESIGNS, table=table, workers=2).finished.failed == ("r_1",)
+    done = execute(body, head=DESIGNS, table=table, workers=2)
+    assert done.finished.done_count == 4
+    unit = done.table[0]["Robot"]
+    (_, _, first), (_, ended, second), (begins, _, third) = moments(done, "Robot")[unit]
+    assert [first["Period"], second["Period"], third["Period"]] == ["1", "2", "1"]
+    assert begins >= ended + 1.0
+
+
+@pytest.mark.long
 def test_no_whole_plot_begins_before_the_one_before_it_is_over(execute: Callable[..., Any]) -> None:
     execute(BODY, head=DESIGNS, table=SPLIT_PLOT, workers=3)
     done = execute(BODY, head=DESIGNS, table=SPLIT_PLOT, workers=3)

@@ -289,6 +289,20 @@ def test_a_plan_that_is_another_in_each_process_is_told_to_be(
     assert len(resume(config, accept_changes=True)) == 2
 
 
+def test_runs_of_a_table_that_counts_have_its_repetitions_though_the_config_repeats_nothing_any_more(
+    write_config: Write,
+) -> None:
+    table = """\
+    def create_run_table(self):
+        return RunTableModel([Factor("Task", ["Video"])], repetitions={}, data_columns=["Energy"])
+"""
+    body = COUNTING.replace("context.attempt", "context.repetition")
+    resume(write_config(body, table=table.format(3)), only=("r_1",))
+    rows = resume(write_config(body, table=table.format(1)), accept_changes=True)
+    assert [(row["Repetition"], row["Energy"]) for row in rows] == [("1", "1"), ("2", "2"), ("3", "3")]
+    assert list(rows[0])[-3:] == ["Task", "Repetition", "Energy"]
+
+
 @pytest.mark.long
 def test_a_table_that_differs_can_be_accepted(execute: Execute) -> None:
     executed = execute(COUNTING)

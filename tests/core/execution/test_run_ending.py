@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import _thread
 import os
 import re
 import signal
@@ -264,6 +265,28 @@ def test_a_mission_that_swallows_the_request_to_end_is_told_with_where_it_goes_o
     executed = ended(execute, mission, grace_in_s="1", event_deadline_in_s="2")
     assert str(failure_of(executed)).startswith("launch_mission of config: the event took longer")
     assert "threading.Event().wait()" in failure_of(executed).traceback
+
+
+def late(*_: object) -> int:
+    return 1
+
+
+def refused(*_: object) -> int:
+    raise RuntimeError("can't start new thread")
+
+
+@pytest.mark.parametrize("closing", ["stop_measurement", "stop_run"])
+@pytest.mark.parametrize("start", [late, refused])
+def test_a_run_that_is_told_to_end_while_it_closes_has_failed_also_where_it_ends_before_a_thread_can_say_so(
+    execute: Execute, monkeypatch: pytest.MonkeyPatch, closing: str, start: Callable[..., int]
+) -> None:
+    monkeypatch.setattr(_thread, "start_new_thread", start)
+    told = f"def {closing}(self):\n    import os, signal\n    os.kill(os.getpid(), signal.SIGTERM)\n"
+    executed = execute(f"{told}def populate_run_data(self): return {{'Energy': 1.0}}", head=HEAD, table=TABLE)
+    (failure,) = executed.finished.failures
+    problem = "the callback was still being executed when the run was told to end"
+    assert failure == f"r_1: {closing} of config: {problem}"
+    assert [row["status"] for row in executed.table] == ["Failed"]
 
 
 #: Python drops what is raised in a `__del__`, and goes on with what follows.

@@ -193,6 +193,60 @@ def launch_mission(self, context):
     assert executed.finished.stopped_by == "on_failure"
 
 
+#: The first run fails once the second one waits for something before it begins.
+ONE_FAILS = f"""{UNTIL}
+claims = []
+on_failure = FailurePolicy.STOP
+def launch_mission(self, context):
+    waits = Path(__file__).parent / "waits"
+    journal = context.experiment_folder / "journal.jsonl"
+    RobotRunnerConfig.until(lambda: waits.exists() or '"waiting","at"' in journal.read_text())
+    raise RuntimeError("enough")
+"""
+TURN = """\
+from pathlib import Path
+from robot_runner import *
+
+class Turn(Condition):
+    is_outside = True
+    def __str__(self):
+        return "it is its turn"
+    def watch(self, context, opened):
+        is_first = context.run_id == "r_1"
+        if not is_first: (Path(__file__).parent / "waits").touch()
+        return lambda: Look(is_first, "another one's")
+
+class RobotRunnerConfig(ExperimentConfig):
+    experiment_name = "trial"
+    results_output_path = Path("results")
+"""
+
+
+def test_a_gate_is_not_awaited_any_more_once_no_more_runs_begin(execute: Callable[..., Any]) -> None:
+    gate = "gates = [Gate(Turn(), timeout_s=1, on_timeout=GatePolicy.WAIT)]"
+    executed = execute(f"{ONE_FAILS}{gate}", head=TURN, table=EIGHT, workers=2)
+    assert [row["status"] for row in executed.table] == ["Failed", *["-"] * 7]
+    assert executed.finished.stopped_by == "on_failure"
+    last = [each for each in executed.journal("gate") if each["run"] == "r_2"][-1]
+    assert (last["state"], last["problem"]) == ("interrupted", "no more runs begin")
+
+
+def test_nobody_is_asked_for_a_step_any_more_once_no_more_runs_begin(execute: Callable[..., Any]) -> None:
+    step = 'operator_steps = [OperatorStep("place it", before={"Speed": [2, 3, 4]})]'
+    executed = execute(f"{ONE_FAILS}{step}", table=EIGHT, workers=2)
+    assert [row["status"] for row in executed.table] == ["Failed", *["-"] * 7]
+    assert executed.finished.stopped_by == "on_failure"
+    assert executed.journal("operator_step") == []
+
+
+def test_no_rest_is_kept_once_no_more_runs_begin(execute: Callable[..., Any]) -> None:
+    body = ONE_FAILS.replace("    waits =", "    if context.run_id != 'r_1': return\n    waits =")
+    body = body.replace('\'"waiting","at"\' in', '\'"attempt_finished","at"\' in')
+    executed = execute(body, table=EIGHT, workers=2, time_between_runs_in_ms=1_000_000)
+    assert [row["status"] for row in executed.table] == ["Failed", "Done", *["-"] * 6]
+    assert executed.finished.seconds < 500
+
+
 def test_what_warms_up_is_over_before_anything_is_measured(execute: Callable[..., Any]) -> None:
     table = EIGHT.replace("repetitions=2,", "repetitions=2, warm_up=WarmUp(2),")
     executed = execute(TOGETHER, table=table, workers=4)

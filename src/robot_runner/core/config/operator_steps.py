@@ -113,7 +113,7 @@ class Question:
                 raise self._refusal("the text holds characters that cannot be printed")
             return said
         try:
-            number = self.kind(said)
+            number = self.kind(said.replace("_", "?"))  # Python reads 11_8, a slip for 11.8, as 118
         except ValueError:
             raise self._refusal(f"{said!r} is not a {_TYPE_NAMES[self.kind]}") from None
         if not is_number(number):

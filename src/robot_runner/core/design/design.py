@@ -230,16 +230,10 @@ class HeldOrder:
             return True
         return bool(self.one_after_another) and not _is_same(self.one_after_another, run, other)
 
-    def rests(self, runs: Iterable[PlannedRun]) -> dict[str, float]:
-        """Return how long the unit rests before each run, s, by the run's id; without runs that have no rest."""
-        found: dict[str, float] = {}
-        last: dict[str, Mapping[str, Any]] = {}
-        for run in runs if self.rest_in_s else ():
-            before = last.setdefault(str(run.combination[self.one_by_one]), run.combination)
-            if not _is_same(self.rest_between, before, run.combination):
-                found[run.run_id] = self.rest_in_s
-            last[str(run.combination[self.one_by_one])] = run.combination
-        return found
+    def rest_before(self, run: Mapping[str, Any], last: Mapping[str, Any] | None) -> float:
+        """Return how long a unit rests before a run, s; `last` is the run that it had last, None where it had none."""
+        is_other = last is not None and bool(self.rest_between) and not _is_same(self.rest_between, run, last)
+        return self.rest_in_s if is_other else 0.0
 
 
 def _is_same(factor: str, one: Mapping[str, Any], other: Mapping[str, Any]) -> bool:

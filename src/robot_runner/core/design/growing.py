@@ -304,7 +304,8 @@ def typed(factor: Factor, text: str) -> Any:
     if kind is str or (issubclass(kind, Real | Decimal) and not issubclass(kind, Enum)):  # Real: NumPy's numbers, too
         what = f"of type {kind.__name__}"
         with suppress(KeyError, TypeError, ValueError, ArithmeticError):
-            made: Any = _WORDS[text] if kind is bool else kind(text)
+            # Python reads 0_3, a slip for 0.3, as 3.
+            made: Any = _WORDS[text] if kind is bool else kind(text if kind is str else text.replace("_", "?"))
             if kind is str or abs(made) < math.inf:
                 return made
             what = "a finite number"  # a config may have others, but on the command line they would be a mistake

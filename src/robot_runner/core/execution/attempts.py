@@ -73,8 +73,8 @@ class Attempts:
         outcome = None
         for attempts_left in range(self._left.pop(run.run_id, self._parameters.attempts - 1), -1, -1):
             if attempts_left < self._parameters.attempts - 1:
-                yield from self._operator.prepare(run, name, is_retry=True)
-            passage = Passage() if ongoing.is_ending else (yield from self._gates.pass_before(run, place.experiment))
+                yield from self._between_runs.prepare_again(run, name)
+            passage = yield from self._pass_gates(run, place)
             if ongoing.is_ending or self._is_stopped_by(passage.stop, run):
                 return outcome
             self._find(self._ongoing.clock.look(run.run_id))
@@ -89,6 +89,14 @@ class Attempts:
         if outcome is not None and outcome.status is AttemptStatus.DONE:
             yield from self._operator.ask_after(run, name, outcome, to_ask)
         return outcome
+
+    def _pass_gates(self, run: PendingRun, place: Place) -> Steps[Passage]:
+        """Await the gates; once more after a pause that was asked for meanwhile, as they are about the run's start."""
+        while not self._ongoing.is_ending:
+            passage = yield from self._gates.pass_before(run, place.experiment)
+            if passage.stop or not (yield from self._between_runs.pause_where_requested(run)):
+                return passage
+        return Passage()
 
     def ask_about_earlier(self) -> Steps[None]:
         """Ask for the operator's steps after runs of earlier sessions that ended before these steps were done."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import time
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -17,12 +18,13 @@ from robot_runner.core.execution.aside import executed_aside
 from robot_runner.core.execution.notices import FindingsNoticed, HostRestarts, Paused
 from robot_runner.core.execution.operator import Operator
 from robot_runner.core.execution.orchestrator_events import OngoingExperiment
-from robot_runner.core.execution.patience import Pause, Steps
+from robot_runner.core.execution.patience import Pause, Steps, UntilEnding
 from robot_runner.core.execution.places import Place, Watch
 from robot_runner.core.execution.task import AttemptStatus, PendingRun, RunTask
 from robot_runner.core.links.connect import is_simulated
 from robot_runner.core.links.declared_host import Host, Reboot
 from robot_runner.core.links.host_commands import HostCommands, Shell, opened_host
+from robot_runner.core.storage.journal import read_journal
 from robot_runner.core.storage.lock import forget_requests, is_requested
 
 _log = logging.getLogger(__name__)
@@ -58,7 +60,10 @@ class BetweenRuns:
         self._parameters = ongoing.experiment.parameters
         self._is_paused = False
         self.held = HeldOrder.of_facts(model.design_facts)
-        self._rests = self.held.rests(model.plan(ongoing.progress.seed) if self.held.rest_in_s else ())
+        self._last_of_unit: dict[str, Mapping[str, Any]] = {}
+        journal = ongoing.experiment.folder.journal
+        for record in read_journal(journal, kinds={"attempt_started"}) if self.held.rest_in_s else ():
+            self._rest_before(record.get("combination") or {})
         self._reboots = _Reboots(ongoing)
 
     def prepare(
@@ -75,8 +80,8 @@ class BetweenRuns:
             name: of that place; empty where there is no other.
             is_cleared: whether a callback has asked the user already whether the first run may start.
         """
-        yield from self._pause_where_requested(run)
-        if finished is not None and self._is_semi and not self._ongoing.is_interrupted:
+        yield from self.pause_where_requested(run)
+        if finished is not None and self._is_semi and not self._ongoing.is_ending:
             is_cleared = self._ongoing.events.user_has_continued(
                 finished,
                 run,
@@ -85,34 +90,51 @@ class BetweenRuns:
                 place.experiment,
             )
         has_asked = yield from self._operator.prepare(run, name)
-        if self._is_semi and not (is_cleared or has_asked or self._ongoing.is_interrupted):
+        if self._is_semi and not (is_cleared or has_asked or self._ongoing.is_ending):
             yield from self._operator.ask_to_start(run, name)
         rest = self._parameters.time_between_runs_in_ms / 1000 if finished is not None else 0.0
         # The washout between treatments is kept in full: the unit's last run may have been in another session.
-        rest = max(rest, self._rests.get(run.run_id, 0.0))
-        if rest and not self._ongoing.is_interrupted:
-            yield Pause(rest)
-        yield from self._pause_where_requested(run)  # it may have been asked for meanwhile
+        rest = max(rest, self._rest_before(self._ongoing.progress.task_of(run).combination))
+        if rest and not self._ongoing.is_ending:
+            yield UntilEnding(Pause(rest), lambda: self._ongoing.is_ending)
+        yield from self.pause_where_requested(run)  # it may have been asked for meanwhile
         yield from self._reboots.before(run)
 
-    def _pause_where_requested(self, run: PendingRun) -> Steps[None]:
+    def _rest_before(self, combination: Mapping[str, Any]) -> float:
+        """Return how long the unit of a run rests before it, s, and note that it has this run then."""
+        unit = str(combination.get(self.held.one_by_one))
+        last, self._last_of_unit[unit] = self._last_of_unit.get(unit), combination
+        return self.held.rest_before(combination, last)
+
+    def prepare_again(self, run: PendingRun, name: str) -> Steps[None]:
+        """Do what comes before another attempt at a run: pause, operator's steps, the question of SEMI mode."""
+        yield from self.pause_where_requested(run)
+        has_asked = yield from self._operator.prepare(run, name, is_retry=True)
+        if self._is_semi and not (has_asked or self._ongoing.is_ending):
+            yield from self._operator.ask_to_start(run, name)
+
+    def pause_where_requested(self, run: PendingRun) -> Steps[bool]:
         """Wait, where `robot-runner pause` asked for it, until the request is taken back or the user interrupts.
+
+        Returns whether anything was awaited.
 
         An operator's step at another place is awaited first, and none is asked for meanwhile: ENTER has one meaning.
         """
-        pause = self._ongoing.experiment.folder.pause
-        while not self._ongoing.is_interrupted and (
+        pause, has_waited = self._ongoing.experiment.folder.pause, False
+        while not self._ongoing.is_ending and (
             self._is_paused  # told of before another run
             or (self._operator.is_asking and is_requested(pause))
         ):
+            has_waited = True
             yield Pause(_LISTEN)
-        if not is_requested(pause) or self._ongoing.is_interrupted:
-            return
+        if not is_requested(pause) or self._ongoing.is_ending:
+            return has_waited
         self._is_paused = self._operator.is_asking = True
         try:
             yield from self._paused(run)
         finally:
             self._is_paused = self._operator.is_asking = False
+        return True
 
     def _paused(self, run: PendingRun) -> Steps[None]:
         progress, folder = self._ongoing.progress, self._ongoing.experiment.folder
@@ -120,7 +142,7 @@ class BetweenRuns:
         progress.note("paused", flush=True, next_run=run.run_id)
         progress.bring_table_up_to_date()
         self._ongoing.notify(Paused(folder.root, run.number, progress.run_count))
-        while is_requested(folder.pause) and not self._ongoing.is_interrupted:
+        while is_requested(folder.pause) and not self._ongoing.is_ending:
             pause = Pause(_LISTEN, user_input)
             yield pause
             if pause.typed == b"":  # the end of the input
@@ -150,7 +172,7 @@ class _Reboots:
             ExecutionError: a host refused, or did not come back.
         """
         for name, host in self._experiment.parameters.hosts.items():
-            if not self._ongoing.is_interrupted and self._is_due(host, run):
+            if not self._ongoing.is_ending and self._is_due(host, run):
                 yield from self._restart(name, host, self._progress.task_of(run))
         self._last = run
 

@@ -26,6 +26,8 @@ from robot_runner.core.storage.run_table_rows import RunTableRows
 
 #: Kinds of records that are written between sessions: they do not extend the session before them.
 _BETWEEN_SESSIONS = EXCLUSION_KINDS | {EXTENDED, PREPARED}
+#: Events of the orchestrator whose callbacks end the session where they raise.
+_ENDING_SESSIONS = frozenset({"before_experiment", "continue", "after_experiment"})
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,7 +85,8 @@ class ExperimentHistory:
         self.gates: dict[str, dict[str, Any]] = {}
         self.gate_seconds = 0.0
         self._in_flight: dict[str, InFlight] = {}
-        self._set_aside: list[Finding] = []
+        #: Of the last session alone.
+        self._of_session: list[Finding] = []
         self._steps = StepHistory()
         #: The process of the last session; None where its record is of an older version, or there is none.
         self.pid: int | None = None
@@ -221,7 +224,8 @@ class ExperimentHistory:
         self.gates.clear()
         self.is_paused = False
         self._in_flight.clear()
-        self.findings = [each for each in self.findings if each not in self._set_aside]  # they take part again
+        self.findings = [each for each in self.findings if each not in self._of_session]
+        self._of_session.clear()
         self.sessions.append(Session(record["at"], record["at"], selection=record.get("selection", {})))
 
     def _take_clock_set(self, record: Mapping[str, Any]) -> None:
@@ -303,8 +307,15 @@ class ExperimentHistory:
             self.findings.append(Finding.warning("run_table.csv", "the rows were put into another order by hand"))
 
     def _take_set_aside(self, record: Mapping[str, Any]) -> None:
-        self._set_aside.append(Finding.warning(f"robot {record['place']}", record["problem"]))
-        self.findings.append(self._set_aside[-1])
+        self._find_in_session(f"robot {record['place']}", record["problem"])  # in the next one it takes part again
+
+    def _take_failure(self, record: Mapping[str, Any]) -> None:
+        if record.get("event") in _ENDING_SESSIONS:  # those of a run are told with it
+            self._find_in_session(f"{record['event']} of {record.get('owner')}", str(record.get("problem")))
+
+    def _find_in_session(self, where: str, problem: str) -> None:
+        self._of_session.append(Finding.warning(where, problem))
+        self.findings.append(self._of_session[-1])
 
     def _take_finding(self, record: Mapping[str, Any]) -> None:
         where = ", ".join(filter(None, [record.get("run"), record["owner"]]))

@@ -19,7 +19,7 @@ from robot_runner.core.events.measure import CONFIG_OWNER
 from robot_runner.core.execution.aside import executed_aside
 from robot_runner.core.execution.notices import FindingsNoticed, GatePassed, GateWaiting
 from robot_runner.core.execution.orchestrator_events import OngoingExperiment
-from robot_runner.core.execution.patience import Pause, Steps
+from robot_runner.core.execution.patience import NO_MORE_RUNS, Pause, Steps, until_ending
 from robot_runner.core.execution.places import Watch
 from robot_runner.core.execution.task import PendingRun, Report, RunOutcome, RunTask
 from robot_runner.core.words import shown_duration
@@ -64,18 +64,20 @@ class Gates:
         self._ongoing = ongoing
 
     def pass_before(self, run: PendingRun, experiment: Experiment) -> Steps[Passage]:
-        """Await all gates, one after another, before the next attempt at a run; an interruption ends the wait."""
+        """Await all gates, one after another, before the next attempt at a run, unless no more runs begin."""
         if not self._gates:
             return Passage()
         begun = self._ongoing.progress.task_of(run)
         task = replace(begun, attempt=begun.attempt + 1)
         wait = _Wait(self._gates, task, self._ongoing)
         outcome = yield from self._awaited(task, experiment, wait.take)
-        while not self._ongoing.is_interrupted and _robot_is_away(outcome) and wait.goes_on_without(outcome):
+        while not self._ongoing.is_ending and _robot_is_away(outcome) and wait.goes_on_without(outcome):
             yield Pause(_AGAIN)
             outcome = yield from self._awaited(task, experiment, wait.take)
-        if self._ongoing.is_interrupted:
-            wait.end("the experiment was interrupted", state="interrupted")
+        if self._ongoing.is_ending:
+            if not wait.is_over:
+                because = "the experiment was interrupted" if self._ongoing.is_interrupted else NO_MORE_RUNS
+                wait.end(because, state="interrupted")
             return Passage()
         if outcome.failure is not None and not wait.is_over:
             wait.end(outcome.failure.problem, state="timed out" if _robot_is_away(outcome) else "failed")
@@ -86,7 +88,7 @@ class Gates:
         seconds = sum(gate.patience_s for gate in gates) + _MARGIN
         # Where none can ask the robot, neither its graph nor a simulation is needed to wait.
         asks_robot = not all(gate.condition.is_outside for gate in gates)
-        return executed_aside(
+        waiting = executed_aside(
             experiment,
             task,
             lambda context: _await_gates(gates, context),
@@ -94,6 +96,7 @@ class Gates:
             deadline_s=seconds if math.isfinite(seconds) else None,
             robot=experiment.parameters.robot if asks_robot else None,
         )
+        return until_ending(waiting, lambda: self._ongoing.is_ending)
 
 
 class _Wait:

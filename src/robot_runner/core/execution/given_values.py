@@ -60,6 +60,8 @@ _PLACE = re.compile(r"[.\[]")
 _DAY_S = 86_400
 #: The year 2000, s since 1970: a clock that shows less was never set.
 _CLOCK_IS_SET = 946_684_800
+#: In a container, process ids are numbers as people write them, such as 1: a value is compared all the same.
+_SMALL_PROCESS_ID = 1000
 _SCALAR = (str, Number, PurePath, Enum)
 
 
@@ -199,7 +201,7 @@ class _Words:
         now = time.time()
         is_near = any(abs(value - unit * now) < unit * _DAY_S for unit in (1, 1_000, 1_000_000_000))
         is_moment = is_near and now > _CLOCK_IS_SET
-        return LEFT_OUT if is_moment or value == os.getpid() else value
+        return LEFT_OUT if is_moment or value == os.getpid() > _SMALL_PROCESS_ID else value
 
     def _text(self, text: str) -> str:
         if text == sys.executable:

@@ -54,8 +54,9 @@ class Notifications:
         self._addresses = addresses_from(self._notify) if self._notify else ()
         self._sending: list[tuple[str, subprocess.Popen[bytes]]] = []
         self._failed: dict[str, Finding] = {}
-        self._told_gate = ("", "")
-        self._ended = self._done = self._failures = self._run_count = 0
+        self._told_gates: dict[str, str] = {}
+        self._ended = self._done = self._run_count = 0
+        self._failed_runs: set[str] = set()
 
     def take(self, notice: notices.Notice) -> None:
         """Send the notifications that are due on a notice."""
@@ -96,7 +97,9 @@ class Notifications:
                 outcome.status is not AttemptStatus.INTERRUPTED
             ):
                 has_failed = outcome.status is AttemptStatus.FAILED
-                self._done, self._failures = self._done + (not has_failed), self._failures + has_failed
+                self._done += not has_failed
+                self._failed_runs.discard(task.run_id)  # another robot may have made up for it
+                self._failed_runs.update([task.run_id] if has_failed else [])
                 if has_failed and "failure" in wanted:
                     yield _Message(f"{self._name}: {task.run_id} failed", one_line(str(outcome.failure)), "warning")
                 yield from self._progress()
@@ -115,18 +118,18 @@ class Notifications:
                 yield self._end(notice)
 
     def _gate(self, waiting: notices.GateWaiting) -> Iterator[_Message]:
-        gate = (waiting.run_id, waiting.condition)
-        if gate != self._told_gate:
-            self._told_gate = gate
+        if self._told_gates.get(waiting.run_id) != waiting.condition:
+            self._told_gates[waiting.run_id] = waiting.condition
             body = f"Before {waiting.run_id}, until {waiting.condition}. Seen last: {waiting.seen or 'nothing'}"
             yield _Message(f"{self._name} waits", one_line(body), "warning")
 
     def _progress(self) -> Iterator[_Message]:
         self._ended += 1
         if self._notify is not None and self._notify.every and self._ended % self._notify.every == 0:
-            is_last = self._done + self._failures >= self._run_count
+            failed = len(self._failed_runs)
+            is_last = self._done + failed >= self._run_count
             body = "That was the last one that is planned." if is_last else "It goes on."
-            yield _Message(f"{self._name}: {self._counts(self._done, self._run_count, self._failures)}", body)
+            yield _Message(f"{self._name}: {self._counts(self._done, self._run_count, failed)}", body)
 
     @staticmethod
     def _counts(done: int, run_count: int, failed: int) -> str:

@@ -8,7 +8,7 @@ were not done.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any
 
 from robot_runner.core.config.operator_steps import OperatorStep, Question, read_answers
@@ -65,7 +65,7 @@ class Operator:
         Raises:
             ExecutionError: a function of the config that says when a step is due raised.
         """
-        if not self._steps or self._ongoing.is_interrupted:
+        if not self._steps or self._ongoing.is_ending:
             return False
         steps = [step for step in self._steps if step.is_for_each_attempt or not is_retry]
         due = [step for step in steps if self._is_due(step, run)]
@@ -78,7 +78,7 @@ class Operator:
             self._has_begun[run.run_id] = False
         has_asked = False
         for step in steps:
-            if step in due and not self._ongoing.is_interrupted:
+            if step in due and not self._ongoing.is_ending:
                 yield from self._have_done(step, run, place)
                 has_asked = True
             elif not step.is_for_each_attempt:
@@ -126,7 +126,7 @@ class Operator:
 
     def _await_done(self, awaited: Sequence[tuple[str, str]]) -> Steps[None]:
         """Wait until steps are done that are being done before earlier runs."""
-        while not self._ongoing.is_interrupted and any(each in self._being_done for each in awaited):
+        while not self._ongoing.is_ending and any(each in self._being_done for each in awaited):
             yield Pause(_LISTEN)
 
     def ask_to_start(self, run: PendingRun, place: str) -> Steps[None]:
@@ -199,7 +199,7 @@ class Operator:
     def _ask(
         self, run: PendingRun, place: str, step: OperatorStep | None = None
     ) -> Steps[dict[str, MeasureValue] | None]:
-        """Wait until the operator says that a step is done, or that a run may start; None after an interruption.
+        """Wait until the operator says that a step is done, or that a run may start; None where it ends before.
 
         The operator is asked about one run at a time, in the order of the runs.
         """
@@ -216,7 +216,7 @@ class Operator:
             self.is_asking = False
 
     def _asked(self, run: PendingRun, place: str, step: OperatorStep | None) -> Steps[dict[str, MeasureValue] | None]:
-        if self._ongoing.is_interrupted:
+        if self._has_ended(step):
             return None
         name, questions = (step.name, tuple(step.ask)) if step else ("", ())
         asked = [question.as_mapping() for question in questions]
@@ -228,7 +228,7 @@ class Operator:
         take_request(self._experiment.folder.control, (run.run_id, name))  # one that was left before this question
         self._progress.note("waiting", **facts)
         self._notify(self._waiting(run, place, step))
-        answers = yield from self._answered((run.run_id, name), questions)
+        answers = yield from self._answered((run.run_id, name), questions, lambda: self._has_ended(step))
         self._progress.note("continued")
         self._notify(UserHasContinued())
         return answers
@@ -250,12 +250,19 @@ class Operator:
             left=self._progress.time_left,
         )
 
-    def _answered(self, asked: Asked, questions: Sequence[Question]) -> Steps[dict[str, MeasureValue] | None]:
+    def _has_ended(self, step: OperatorStep | None) -> bool:
+        """Return whether this is not asked any more; a step after a run is, also where no more runs begin."""
+        is_after = step is not None and step.is_after
+        return self._ongoing.is_interrupted if is_after else self._ongoing.is_ending
+
+    def _answered(
+        self, asked: Asked, questions: Sequence[Question], has_ended: Callable[[], bool]
+    ) -> Steps[dict[str, MeasureValue] | None]:
         control = self._experiment.folder.control
         given: dict[str, MeasureValue] = {}
         left = deque(questions)
         self._put_question(left)
-        while not self._ongoing.is_interrupted:
+        while not has_ended():
             line = yield from self._keyboard.line()
             if line is not None:
                 if left:

@@ -31,6 +31,7 @@ from robot_runner.core.execution.run_records import failure_fields
 from robot_runner.core.execution.task import OutcomeBuilder, PendingRun, Report, RunTask, seed_of_run
 from robot_runner.core.secret_names import sentences_without_secrets
 from robot_runner.core.storage.journal import utc_now
+from robot_runner.core.treatments import bind
 
 #: How many times over `grace_in_s` a callback may take to end once its deadline has passed.
 _PATIENCE = 3
@@ -283,6 +284,8 @@ class OrchestratorEvents:
         def adapt(context: RobotRunnerContext) -> RobotRunnerContext:
             return replace(context, next_run=self._next_run(following, lambda factor: read(factor, context.owner)))
 
+        if place:  # a run at another place has begun since, whose treatments plugins have by now
+            self._bind_again(task)
         returned = self.emit_to_run(RobotRunnerEvents.CONTINUE, task, report, experiment, adapt)
         outcome = published.outcome()
         self._progress.amend_outcome(task, before, outcome)
@@ -290,6 +293,14 @@ class OrchestratorEvents:
             where = " of ".join(filter(None, (outcome.failure.event, outcome.failure.owner)))
             raise ExecutionError(outcome.failure.problem, where=where, fix="Correct this callback, and resume.")
         return any(value is True for value in returned)
+
+    def _bind_again(self, task: RunTask) -> None:
+        for plugin in self._experiment.plugins:
+            try:
+                bind(plugin, task.combination)
+            except Exception as error:
+                problem = failure_fields(error)["problem"]
+                raise ExecutionError(problem, where=plugin.name, fix="Correct this plugin, and resume.") from error
 
     def _next_run(self, run: PendingRun, read: Callable[[str], None]) -> NextRun:
         task = self._progress.task_of(run)

@@ -10,12 +10,17 @@ import os
 import select
 import time
 from collections.abc import Callable, Collection, Generator, Sequence
+from contextlib import closing
 from typing import TypeVar
 
 from robot_runner.core.events.early_end import undivided
 from robot_runner.core.execution.interruption import Interruption
 from robot_runner.core.execution.places import INTERRUPTED, Awaited, Places
 
+#: Why nothing is awaited any more before a run.
+NO_MORE_RUNS = "no more runs begin"
+#: How often it is looked whether that is so, s.
+_LISTEN = 0.2
 _READABLE = select.POLLIN | select.POLLHUP | select.POLLERR
 _Result = TypeVar("_Result")
 #: A generator that yields what it waits for, and returns a result.
@@ -59,6 +64,56 @@ class Pause:
 
     def kill(self) -> None:
         """End it."""
+
+
+class UntilEnding:
+    """What is awaited before a run, and is stopped once no more runs begin.
+
+    Args:
+        awaited: what is awaited.
+        is_ending: returns whether no more runs begin.
+    """
+
+    def __init__(self, awaited: Awaited, is_ending: Callable[[], bool]) -> None:
+        self._awaited = awaited
+        self._is_ending = is_ending
+
+    @property
+    def descriptors(self) -> Collection[int]:
+        """Those of what is awaited."""
+        return self._awaited.descriptors
+
+    @property
+    def due(self) -> float:
+        """When to look again whether it is to end, or earlier, s."""
+        look = time.monotonic() + _LISTEN
+        return look if self._awaited.due is None else min(look, self._awaited.due)
+
+    def advance(self) -> bool:
+        """Stop what is awaited where no more runs begin; return whether it is over."""
+        if self._is_ending():
+            self._awaited.stop(NO_MORE_RUNS)
+        return self._awaited.advance()
+
+    def stop(self, because: str, *, is_interruption: bool = False) -> None:
+        """Let it end soon."""
+        self._awaited.stop(because, is_interruption=is_interruption)
+
+    def kill(self) -> None:
+        """End it at once."""
+        self._awaited.kill()
+
+
+def until_ending(steps: Steps[_Result], is_ending: Callable[[], bool]) -> Steps[_Result]:
+    """Follow steps, and stop what they await once no more runs begin; return their result."""
+    with closing(steps):
+        while True:
+            try:
+                awaited = next(steps)
+            except StopIteration as end:
+                result: _Result = end.value
+                return result
+            yield UntilEnding(awaited, is_ending)
 
 
 class Patience:

@@ -39,6 +39,8 @@ class RunEnding:
         self._gate = gate
         self._gate.held_up = self._tell_held_up
         self._has_told_held_up = False
+        self._held_up: list[tuple[str, str, dict[str, str]]] = []
+        self._telling = _thread.allocate_lock()
         self._failed_by: set[str] = set()
         self._process = os.getpid()
         self._earlier_hook = threading.excepthook
@@ -55,6 +57,7 @@ class RunEnding:
         finally:
             threading.excepthook = self._earlier_hook
             _left_over.update(set(threading.enumerate()) - before)
+            self._tell()
 
     def fail(self, owner: str, reason: str) -> None:
         """Fail the run and end what it is doing; a second call for the same owner only ends it."""
@@ -92,9 +95,17 @@ class RunEnding:
         self._has_told_held_up = self.has_failed = True
         stack = "".join(traceback.format_stack(frame))
         fields = {"problem": "the callback was still being executed when the run was told to end", "traceback": stack}
+        self._held_up.append((*self.callback, fields))
         # In a thread, as this is a signal handler: the interrupted code may hold the lock of the record writer. Not by
-        # `threading`, which takes locks itself.
-        _thread.start_new_thread(self._write, (*self.callback, fields))
+        # `threading`, which takes locks itself. Where the system has no further thread, it is told at the run's end.
+        with suppress(RuntimeError):
+            _thread.start_new_thread(self._tell, ())
+
+    def _tell(self) -> None:
+        """Record what held the request to end up, once: at the latest before the run says that it is over."""
+        with self._telling:
+            while self._held_up:
+                self._write(*self._held_up.pop())
 
     @property
     def _is_closing(self) -> bool:

@@ -102,7 +102,9 @@ class _Recovery:
         )
         self._former = former_measures(self._schema, layout)
         names = tuple(column.name for column in self._former)
-        self._layout = replace(layout, has_exclusions=self._history.excluded.were_any, former_measures=names)
+        counts = not self._is_by_hand and manifest["design"]["repetitions"] > 1  # the config may repeat nothing by now
+        layout = replace(layout, has_repetition=layout.has_repetition or counts, former_measures=names)
+        self._layout = replace(layout, has_exclusions=self._history.excluded.were_any)
         self._is_known_to_be_reordered = bool(manifest["design"].get("is_reordered"))
 
     def recovered(self) -> RecoveredTable:
