@@ -145,6 +145,22 @@ def test_one_robot_is_claimed_alike_however_its_namespace_is_named(
     assert claims(f'robot = "dds://alice"\n{lone}')[1] == {"robot:domain 0/alice"}
 
 
+def test_a_robot_that_is_driven_late_in_a_long_plan_is_claimed_from_the_beginning(
+    write_config: Callable[..., Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for variable in ("ROS_DOMAIN_ID", "ROS_MASTER_URI"):
+        monkeypatch.delenv(variable, raising=False)
+    table = """
+    def create_run_table(self):
+        return RunTableModel([Factor("Robot", ["alice", "bob"]), Factor("Trial", range(300))], data_columns=[])
+    """
+    body = "robot = 'dds:domain=7'\nprobe = False\nplugins = [Waypoints([(1, 0)], namespace=treatment('Robot'))]"
+    experiment = prepare_or_refuse(write_config(body, head=HEAD, table=table), looks_at_graph=False)
+    assert {run.combination["Robot"] for run in list(experiment.model.plan())[:300]} == {"alice"}
+    found = Claims(experiment.parameters, experiment.plugins, experiment.events)
+    assert held_claims(found, experiment.model) == {"robot:domain 7/alice", "robot:domain 7/bob"}
+
+
 def test_nobody_looks_for_a_robot_to_know_what_is_claimed(
     write_config: Callable[..., Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:

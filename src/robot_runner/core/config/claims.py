@@ -26,7 +26,7 @@ from robot_runner.core.plugin import THIS_MACHINE, Plugin, System, with_parts
 from robot_runner.core.treatments import built_with, factors_of, values_of
 from robot_runner.core.words import counted, enumerated
 
-#: In a design with more runs than this, the claims of the first ones stand for all.
+#: Where plugins have more different treatments than this, the claims of the first ones stand for all.
 _LOOKED_AT = 200
 
 
@@ -108,8 +108,7 @@ class Claims:
     def common(self, combinations: Iterable[Mapping[str, Any]]) -> dict[str, list[str]]:
         """Return the claims that all of these runs have in common: if there is one, they never overlap."""
         common: dict[str, list[str]] | None = None
-        do_vary = any(map(factors_of, self._plugins))
-        for combination, robot in product(combinations if do_vary else islice(combinations, 1), self._reached):
+        for combination, robot in product(self._apart(combinations), self._reached):
             claims = self.of(combination, robot)
             common = claims if common is None else {name: who for name, who in common.items() if name in claims}
         return common or {}
@@ -120,11 +119,21 @@ class Claims:
         The default claim on the whole machine only keeps runs of this experiment apart. On a cluster, claims are about
         other machines, except that on the robot.
         """
-        chosen = [*combinations]
+        chosen = [*islice(self._apart(combinations), _LOOKED_AT)]
         found = {claim for combination in chosen for claim in self._declared(combination)}
         here = found | {f"host:{host.address}" for host in self._parameters.hosts.values() if not host.is_local}
         here.update(self._parameters.claims or ())
         return frozenset(self._robots(chosen)) | frozenset(() if self._parameters.cluster is not None else here)
+
+    def _apart(self, combinations: Iterable[Mapping[str, Any]]) -> Iterator[Mapping[str, Any]]:
+        """Yield the first of the combinations that give plugins the same treatments."""
+        factors = {factor for plugin in self._plugins for factor in factors_of(plugin).values()}
+        seen: dict[tuple[int, ...], list[Any]] = {}
+        for combination in combinations if factors else islice(combinations, 1):
+            treatments = [combination.get(factor) for factor in factors]
+            # Runs share their treatments, which need not be hashable; those that are seen are kept, and so their ids.
+            if seen.setdefault(tuple(map(id, treatments)), treatments) is treatments:
+                yield combination
 
     def _declared(self, combination: Mapping[str, Any]) -> Iterator[str]:
         for plugin in self._plugins:
@@ -191,8 +200,8 @@ def _of_config(parameters: Parameters, events: EventManager) -> Iterator[str]:
 
 
 def held_claims(claims: Claims, model: RunTableModel) -> frozenset[str]:
-    """Return what an experiment of this design claims against others, by its first `_LOOKED_AT` runs."""
-    return claims.against_others(run.combination for run in islice(model.plan(), _LOOKED_AT))
+    """Return what an experiment of this design claims against others."""
+    return claims.against_others(run.combination for run in model.plan())
 
 
 def check_workers(
@@ -206,7 +215,7 @@ def check_workers(
     claims = Claims(parameters, plugins, events)
     try:
         held_claims(claims, model)
-        common = claims.common(run.combination for run in islice(model.plan(), _LOOKED_AT)) if count > 1 else {}
+        common = claims.common(run.combination for run in model.plan()) if count > 1 else {}
     except (Exception, SystemExit) as error:  # noqa: BLE001 - a stranger's code; what it raises is a finding like others
         return [failed_check(f"{where}.plugins", error, "asking plugins for their claims")]
     alone = "let the robots drive one after another" if parameters.robots else "leave workers at 1"
