@@ -91,3 +91,14 @@ def test_a_battery_that_cannot_give_the_power_falls_to_half_its_voltage(resistan
     volts = battery.terminal_voltage(battery.current(power, drawn), drawn)
     left = (resistance + 2 * shunt) / (resistance + shunt) / 2
     assert volts == pytest.approx(battery.open_circuit_voltage(battery.charge(drawn)) * left)
+
+
+def test_in_the_cold_it_tells_of_the_charge_that_can_be_had():
+    simulation = Simulation(seed=1, parameters=Turtlebot3Parameters(battery_temperature=-20.0))
+    robot = simulation.turtlebot3()
+    simulation.clock.sleep(20.0)
+    told = robot.topics["battery_state"].latest()
+    assert told["design_capacity"] == 1.8
+    assert told["capacity"] == pytest.approx(1.8 * (1 - 45 * 0.008))
+    assert told["charge"] == pytest.approx(told["percentage"] * told["capacity"])
+    assert (told["capacity"] - told["charge"]) * 3600 * 11.1 == pytest.approx(robot.energy)

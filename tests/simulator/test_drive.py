@@ -116,6 +116,16 @@ def test_a_wall_stops_it(drive):
     assert 3.5 < drive.pose.x < 4.0
 
 
+def test_a_robot_that_pushed_a_wall_stands_still_once_it_is_put_back():
+    drive = DifferentialDrive(PARAMETERS, Physics(PARAMETERS, [Body(RADII)], [Wall(0.3, 0.0, 0.05, 1.0)]))
+    drive.command(0.2, 0.0)
+    drive.advance(1000)
+    drive.put_back()
+    drive.advance(1200)
+    assert math.hypot(drive.pose.x, drive.pose.y) < 1e-3
+    assert drive.pose.yaw == pytest.approx(0.0, abs=1e-3)
+
+
 def test_advancing_in_pieces_is_advancing_at_once(drive):
     other = DifferentialDrive(PARAMETERS, Physics(PARAMETERS, [Body(RADII)]))
     for one in (drive, other):

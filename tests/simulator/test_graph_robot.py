@@ -6,6 +6,7 @@ import threading
 import time
 
 import pytest
+from tests.simulator.test_modelled_robot import ROVER
 
 from robot_runner.core.errors import LinkError
 from robot_runner.core.links.robot import Qos
@@ -346,6 +347,21 @@ def test_a_robot_is_put_into_the_namespace_that_its_graph_is_named_with(monkeypa
         with on_graph(SimulatedPlace(link=link, namespace=namespace)) as graph:
             assert opened == [expected]
             assert list(graph.robots) == [expected]
+
+
+def test_robots_of_a_room_start_where_it_says_in_the_namespace_of_their_graph(monkeypatch, tmp_path):
+    monkeypatch.setattr(GraphLinkKind, "open", lambda *_: closable(GraphOfOne()))
+    path, model = tmp_path / "room.toml", tmp_path / "rover.xml"
+    path.write_text("[[robot]]\nat = [1, 2]\nnamespace = 'alice'", "utf-8")
+    model.write_text(ROVER, "utf-8")
+    with on_graph(SimulatedPlace(link="dds:namespace=lab", room=path)) as graph:
+        assert list(graph.robots) == ["/lab/alice"]
+        pose = graph.robots["/lab/alice"]._robot.pose
+        assert (pose.x, pose.y) == pytest.approx((1.0, 2.0), abs=1e-3)
+    place = SimulatedPlace(link="dds:namespace=lab", namespace="alice", room=path, model=model)
+    with on_graph(place) as graph:
+        truth = graph.robots["/lab/alice"]._robot.topics["ground_truth"].latest()
+        assert truth["pose"]["pose"]["position"]["x"] == pytest.approx(1.0, abs=1e-3)
 
 
 def test_a_room_that_names_its_robots_takes_no_namespace(tmp_path):

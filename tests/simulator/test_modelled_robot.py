@@ -119,6 +119,18 @@ def test_the_joints_of_an_arm_take_what_their_actuators_take(simulate):
         link.publish("joint_commands", "sensor_msgs/JointState", {"name": ["elbow"], "position": [1.0]})
 
 
+def test_a_command_with_a_fault_moves_no_joint(simulate):
+    simulation, link = simulate(ARM)
+    for wrong, problem in (
+        ({"position": [0.8]}, "position has 1 value for 0 names"),
+        ({"name": ["shoulder"], "position": [0.8, 0.1]}, "position has 2 values for 1 name"),
+        ({"name": ["shoulder", "elbo"], "position": [0.8, 0.1]}, "'elbo' is not a joint"),
+    ):
+        with pytest.raises(LinkError, match=problem):
+            link.publish("joint_commands", "sensor_msgs/JointState", wrong)
+    assert last(simulation, link, "joint_states")["position"][0] == pytest.approx(0.0, abs=0.01)
+
+
 def test_obstacles_of_a_room_stand_around_a_model(simulate, tmp_path):
     room = tmp_path / "room.toml"
     room.write_text("[[cylinder]]\nat = [1.0, 0.0]\nradius = 0.1\n[[box]]\nat = [0, 2]\nsize = [1, 1]", "utf-8")
@@ -143,6 +155,7 @@ def test_a_model_has_no_power_meter_and_no_computer(simulate):
         (ROVER[: ROVER.index("<actuator>")] + "</mujoco>", {}, "no actuator that drives"),
         (ROVER, {"left": "lef_wheel", "right": "right_wheel"}, "left='lef_wheel' is not a joint"),
         (ROVER.replace('pos="0 -0.15 0"', 'pos="0 0.15 0"'), {}, "are 0 m apart"),
+        (ROVER, {"mass": "5", "floor_slope": "20"}, "floor_slope and mass would have no effect"),
     ],
 )
 def test_a_model_that_cannot_be_driven_is_a_finding(tmp_path, text, options, problem):
@@ -152,8 +165,10 @@ def test_a_model_that_cannot_be_driven_is_a_finding(tmp_path, text, options, pro
     (finding,) = link_findings(name)
     assert problem in finding.problem
     assert finding.fix
+    assert finding.is_error
     (missing,) = link_findings(f"simulated:model={tmp_path / 'none.xml'}")
     assert "no such model" in missing.problem
+    assert link_findings(f"simulated:model={path},scan_maximum=8") == [] or text != ROVER
     (vain,) = link_findings("simulated:left=a")
     assert "no model is named" in vain.problem
 

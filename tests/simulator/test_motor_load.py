@@ -11,6 +11,7 @@ import pytest
 from robot_runner.simulator.drive import DifferentialDrive
 from robot_runner.simulator.model import Body
 from robot_runner.simulator.physics import Physics
+from robot_runner.simulator.rooms import Pose, Room
 from robot_runner.simulator.simulated_turtlebot3 import Simulation
 from robot_runner.simulator.supply import motor_power
 from robot_runner.simulator.turtlebot3_parameters import Turtlebot3Parameters
@@ -118,6 +119,20 @@ def test_a_robot_on_a_slope_stays_where_it_is_and_pays_for_it():
         simulation.clock.sleep(30.0)
     assert steep.turtlebot3().pose.x == pytest.approx(before, abs=0.005)
     assert steep.turtlebot3().energy > level.turtlebot3().energy + 1.0
+
+
+@pytest.mark.parametrize("yaw", [0.0, 0.8, math.pi / 2, math.pi, -2.0])
+def test_whichever_way_it_faces_a_robot_stands_still_on_a_slope_until_it_is_commanded(yaw):
+    parameters = Turtlebot3Parameters(**QUIET, floor_slope=15.0)
+    simulation = Simulation(seed=1, parameters=parameters, room=Room((), {"": Pose(1.0, 2.0, yaw)}))
+    robot = simulation.turtlebot3()
+    for _ in range(2):
+        simulation.clock.sleep(3.0)
+        assert math.hypot(robot.pose.x - 1.0, robot.pose.y - 2.0) < 2e-3
+        assert robot.pose.yaw == pytest.approx(yaw, abs=2e-3)
+        robot.put_back()
+    simulation.clock.sleep(1.0)
+    assert robot.energy / 7.0 < 7.7, "it drew the power of a robot that has moved"
 
 
 def test_on_a_floor_without_grip_a_slope_cannot_be_climbed():

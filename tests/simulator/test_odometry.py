@@ -71,3 +71,13 @@ def test_larger_wheels_go_farther_than_the_odometry_says():
     drive.command(0.2, 0.0)
     drive.advance(2000)
     assert drive.pose.x / odometry.latest().x == pytest.approx(0.0335 / 0.033, abs=0.002)
+
+
+def test_a_robot_that_is_put_back_while_it_drives_has_covered_nothing_since(drive):
+    odometry = odometry_of(drive)
+    drive.command(0.2, 0.0)
+    drive.advance(206)  # the encoders were read at step 200, and it drove on for 6 mm
+    drive.put_back()
+    odometry.restart()
+    drive.advance(400)
+    assert odometry.latest().x == pytest.approx(0.0, abs=2 * TICK)

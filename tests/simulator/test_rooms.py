@@ -129,6 +129,14 @@ def test_robots_of_one_room_see_and_hit_each_other(tmp_path):
     assert again.turtlebot3("alice").pose == alice.pose, "who is asked for first changed the world"
 
 
+@pytest.mark.parametrize(("height", "is_seen"), [(0.192, True), (0.15, False)])
+def test_a_robot_sees_another_that_reaches_the_height_of_its_scanner(height, is_seen):
+    room = Room((), {"/a": Pose(0.0, 0.0, 0.0), "/b": Pose(1.0, 0.0, 0.0)})
+    simulation = Simulation(1, parameters=Turtlebot3Parameters(body_height=height), room=room)
+    ahead = simulation.turtlebot3("/a").topics["scan"].latest()["ranges"][0]
+    assert (ahead < math.inf) == is_seen
+
+
 def test_the_battery_of_each_robot_of_a_room_is_looked_at_whoever_is_asked():
     room = Room((), {"/a": Pose(0.0, 0.0, 0.0), "/b": Pose(1.0, 0.0, 0.0)})
     simulation = Simulation(seed=1, room=room, parameters=Turtlebot3Parameters(initial_charge=0.5))

@@ -100,6 +100,11 @@ def test_all_that_is_wrong_is_found_with_each_treatment_before_any_run(rooms: Pa
     (other,) = SimulatedWorld(rooms / "near.toml").check(Circumstances("dds"))
     assert "nothing is loaded there" in other.problem
     assert not other.is_error
+    robot = "simulated:scan_maximum=8,mass=5,real_time_factor=1"
+    assert not list(SimulatedWorld(rooms / "near.toml").check(Circumstances(robot)))
+    (vain,) = SimulatedWorld(model=rooms / "rover.xml").check(Circumstances(robot))
+    assert "mass would have no effect" in vain.problem
+    assert not vain.is_error, "another treatment may be a TurtleBot3"
 
 
 def test_it_is_read_before_the_run_and_before_the_robot_is_made(rooms: Path, tmp_path: Path) -> None:

@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from robot_runner.core.errors import LinkError
+from robot_runner.simulator.simulated_turtlebot3 import Simulation
 from robot_runner.simulator.turtlebot3_parameters import NoiseStreams, Turtlebot3Parameters
 
 DOCUMENT = Path(__file__).parents[2] / "docs" / "simulator-parameters.md"
@@ -56,6 +57,14 @@ def test_figures_that_cannot_be_are_refused(name, value):
 def test_a_floor_may_fall_and_a_battery_be_colder_than_ice():
     parameters = Turtlebot3Parameters(floor_slope=-5.0, battery_temperature=-10.0)
     assert (parameters.floor_slope, parameters.battery_temperature) == (-5.0, -10.0)
+
+
+@pytest.mark.parametrize(("name", "value"), [("body_height", 0.01), ("wheel_mass", 1e-16), ("wheel_radius", 1e-9)])
+def test_a_body_that_the_physics_does_not_take_is_refused_with_a_reason(name, value):
+    simulation = Simulation(1, parameters=Turtlebot3Parameters(**{name: value}))
+    with pytest.raises(LinkError, match=r"MuJoCo does not take the simulated robot: .*must be") as refused:
+        simulation.robot()
+    assert "parameters" in refused.value.fix
 
 
 @pytest.mark.parametrize("name", ["initial_charge", "sample_power_deviation", "cpu_idle", "memory_video"])

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from robot_runner.core.events.early_end import undivided
-from robot_runner.simulator.model import holding_torque, rolling_torque, slope_angle
+from robot_runner.simulator.model import rolling_torque, slope_angle
 from robot_runner.simulator.physics import CORRECTION_STEPS, Physics
 from robot_runner.simulator.physics_library import mujoco
 from robot_runner.simulator.rooms import Pose
@@ -43,7 +43,8 @@ class DifferentialDrive:
         self._target = [0.0, 0.0]
         # The lead of the set points over the speeds, so that the motors bear their load at the commanded speed; on a
         # slope they hold the robot from the beginning.
-        self._lead = [holding_torque(parameters) / parameters.servo_gain] * 2
+        self._holding_lead: list[float] = self._body.set_points.tolist()
+        self._lead = list(self._holding_lead)
         self._rolling_lead = rolling_torque(parameters) / parameters.servo_gain
         self._correction = CORRECTION_STEPS / STEPS_PER_SECOND / parameters.servo_settling_time
         self._physics.ride(self)
@@ -127,8 +128,9 @@ class DifferentialDrive:
         self._physics.advance(steps)
 
     def put_back(self) -> None:
-        """Stop the robot, and put it back to its start."""
-        self.command(0.0, 0.0)
+        """Stop the robot, and put it back to its start, with motors that only hold it."""
+        self._target, self._lead = [0.0, 0.0], list(self._holding_lead)
+        self._set()
         self._physics.put_back(self._number)
 
     def correct(self) -> None:
@@ -217,7 +219,8 @@ class WheelOdometry:
     def restart(self) -> None:
         """Count from zero, as the robot was put back."""
         self.latest()
-        self._state = OdometryState()
+        self._step = self._drive.steps  # the way since the last tick was before, too
+        self._ticks, self._state = self._read(self._step), OdometryState()
 
     def _due(self) -> int:
         return tick_time(self._number, self._rate) // STEP_NS

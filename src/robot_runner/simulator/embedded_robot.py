@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib
 import importlib.util
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, fields
 from math import inf
 from pathlib import Path
@@ -152,6 +152,19 @@ def _not_installed(missing: list[str]) -> LinkError:
     )
 
 
+def vain_parameters(options: Iterable[str], model: Path, *, where: str) -> Iterator[Finding]:
+    """Yield a warning if the robot is from a model, and options are parameters of the TurtleBot3 alone."""
+    from robot_runner.simulator.turtlebot3_parameters import (  # noqa: PLC0415  # it imports NumPy
+        SENSOR_PARAMETERS,
+        Turtlebot3Parameters,
+    )
+
+    own = {each.name for each in fields(Turtlebot3Parameters)} - SENSOR_PARAMETERS
+    if vain := sorted(own & set(options)):
+        problem = f"{enumerated(vain)} would have no effect on the robot of {model.name}"
+        yield Finding.warning(where, problem, "Leave it out of robot, and put it into the model if it is a part of it.")
+
+
 @dataclass(frozen=True, slots=True)
 class SimulationOptions:
     """The options of the simulation in `robot = "simulated:name=value,..."`.
@@ -224,6 +237,8 @@ def _model(values: dict[str, Any], room: Room | None) -> RobotModel | None:
     wheels = {side: values.pop(side) for side in _WHEELS if side in values}
     path = values.pop(_MODEL, None)
     if path is not None:
+        for vain in vain_parameters(values, path, where=_WHERE):
+            raise LinkError(vain.problem, where=vain.where, fix=vain.fix)
         from robot_runner.simulator.modelled_robot import RobotModel  # noqa: PLC0415  # it imports MuJoCo
 
         return RobotModel(input_file(path), room, **wheels)

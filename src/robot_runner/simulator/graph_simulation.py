@@ -215,10 +215,10 @@ def on_graph(place: SimulatedPlace) -> Iterator[GraphSimulation]:
         fix = did_you_mean(link, GRAPH_LINKS)
         raise LinkError(f"no robot can be put on {link!r}", where="the simulated robot", fix=fix)
     _, name = resolved_robot(place.link)
-    room = None if place.room is None else read_room(place.room)
-    model = None if place.model is None else RobotModel(place.model, room)
     within = namespace_prefix(name.namespace)
-    namespaces = [f"{within}{namespace_prefix(each)}" for each in _namespaces(place, room)]
+    room = None if place.room is None else read_room(place.room).below(within)
+    model = None if place.model is None else RobotModel(place.model, room)
+    namespaces = _namespaces(place, room, within)
     with ExitStack() as closing:
         links = []
         for namespace in namespaces:
@@ -236,10 +236,10 @@ def on_graph(place: SimulatedPlace) -> Iterator[GraphSimulation]:
         yield graph
 
 
-def _namespaces(place: SimulatedPlace, room: Room | None) -> list[str]:
-    """Return the namespaces of the robots to offer."""
+def _namespaces(place: SimulatedPlace, room: Room | None, within: str) -> list[str]:
+    """Return the full namespaces of the robots to offer; those of the room are full already."""
     if room is None or not room.robots or place.model is not None:
-        return [place.namespace]
+        return [f"{within}{namespace_prefix(place.namespace)}"]
     if place.namespace:
         raise LinkError(
             f"the namespace is {place.namespace!r}, and the room names its robots: {', '.join(room.robots)}",

@@ -61,9 +61,16 @@ def rolling_torque(parameters: Turtlebot3Parameters) -> float:
     return parameters.rolling_resistance * weight * parameters.wheel_radius / 2
 
 
-def holding_torque(parameters: Turtlebot3Parameters) -> float:
-    """Return the torque in N m with which each of the two motors holds a robot that faces up the slope."""
-    return parameters.mass * _GRAVITY * math.sin(slope_angle(parameters)) * parameters.wheel_radius / 2
+def holding_torques(parameters: Turtlebot3Parameters, yaw: float) -> tuple[float, float]:
+    """Return the torques in N m with which the left and the right motor hold a robot on the slope.
+
+    At a yaw (rad) of 0 it faces up the slope. Across it, its body, whose mass is behind the axle, would turn downwards.
+    """
+    pull = _GRAVITY * math.sin(slope_angle(parameters)) * parameters.wheel_radius
+    ahead = parameters.mass * pull * math.cos(yaw) / 2
+    body_mass = parameters.mass - 2 * parameters.wheel_mass
+    aside = body_mass * pull * math.sin(yaw) * -_BODY_X / parameters.wheel_separation
+    return ahead - aside, ahead + aside
 
 
 def burger_model(

@@ -12,6 +12,7 @@ import numpy as np
 
 from robot_runner.core.errors import LinkError, did_you_mean
 from robot_runner.core.events.early_end import undivided
+from robot_runner.core.words import counted
 from robot_runner.simulator.camera import Camera, camera_topics
 from robot_runner.simulator.drive import OdometryState
 from robot_runner.simulator.mjcf_interface import ActuatorKind, Joint, WheelPair, read_interface, read_model
@@ -170,6 +171,11 @@ class ModelledRobot:
     def _move_joints(self, message: Message) -> None:
         driven = {each.name: each for each in self._interface.joints if each.control is not None}
         values = {kind: list(message[kind.value]) for kind in ActuatorKind}
+        for kind, given in values.items():
+            if len(given) > (named := len(message["name"])):
+                problem = f"{kind.value} has {counted(len(given), 'value')} for {counted(named, 'name')}"
+                raise LinkError(problem, where="joint_commands", fix="Name the joint of each value in name.")
+        moved: list[tuple[Joint, float]] = []
         for place, name in enumerate(message["name"]):
             if name not in driven:
                 problem = f"{name!r} is not a joint of the model that is driven"
@@ -179,7 +185,9 @@ class ModelledRobot:
             if place >= len(given):
                 problem = f"{name!r} is driven by its {joint.kind.value}, and none is given"
                 raise LinkError(problem, where="joint_commands", fix=f"Give {joint.kind.value}, one for each name.")
-            self._actuate(joint, given[place])
+            moved.append((joint, given[place]))
+        for joint, value in moved:
+            self._actuate(joint, value)
 
     def _actuate(self, joint: Joint, value: float) -> None:
         control = value * joint.scale

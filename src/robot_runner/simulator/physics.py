@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from robot_runner.core.errors import LinkError
 from robot_runner.core.events.early_end import undivided
-from robot_runner.simulator.model import Body, holding_torque, world_model
+from robot_runner.simulator.model import Body, holding_torques, world_model
 from robot_runner.simulator.physics_library import mujoco
 from robot_runner.simulator.rooms import ARENA, Obstacle
 from robot_runner.simulator.turtlebot3_parameters import Floats, Turtlebot3Parameters
@@ -84,18 +84,27 @@ class Physics:
         traces: the wheels' angles (rad) and speeds (rad/s) and the motors' torques (N m), shape (rows, bodies, 2) each:
             row i is the state after i steps, the left wheel before the right one. They are views, which are replaced
             when rows are added.
+
+    Raises:
+        LinkError: MuJoCo does not take the robot.
     """
 
     def __init__(
         self, parameters: Turtlebot3Parameters, bodies: Sequence[Body], obstacles: Sequence[Obstacle] = ARENA
     ) -> None:
-        self._model = mujoco.MjModel.from_xml_string(world_model(parameters, bodies, obstacles))
+        try:
+            self._model = mujoco.MjModel.from_xml_string(world_model(parameters, bodies, obstacles))
+        except ValueError as error:
+            problem = f"MuJoCo does not take the simulated robot: {' '.join(str(error).split())}"
+            fix = "Give its parameters, or the obstacles of its room, less extreme values."
+            raise LinkError(problem, where="Turtlebot3Parameters", fix=fix) from error
         self._data = mujoco.MjData(self._model)
         self._warnings = self._data.warning.number
         self._riders: list[Rider] = []
         self._has_sensors = False
         # On a slope the motors hold their robot from the beginning.
-        self._data.act[:] = self._data.ctrl[:] = holding_torque(parameters) / parameters.servo_gain
+        held = np.ravel([holding_torques(parameters, each.start.yaw) for each in bodies])
+        self._data.act[:] = self._data.ctrl[:] = held / parameters.servo_gain
         self.steps = 0
         mujoco.mj_step(self._model, self._data, nstep=_SETTLING_STEPS)
         self._settled = np.array(self._data.qpos)

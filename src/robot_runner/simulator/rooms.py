@@ -95,6 +95,10 @@ class Room:
         """Return the start of the robot of a namespace."""
         return self.robots.get(namespace, ORIGIN)
 
+    def below(self, namespace: str) -> Room:
+        """Return the same room with its robots below a namespace."""
+        return Room(self.obstacles, MappingProxyType({f"{namespace}{name}": at for name, at in self.robots.items()}))
+
     def clearance(self, x: float, y: float) -> float:
         """Return the distance (m) of a point from the nearest obstacle; 0 within one, infinite if there is none."""
         return min((each.distance(x, y) for each in self.obstacles), default=math.inf)

@@ -252,7 +252,7 @@ class SensorBoard:
         """Return a sensor_msgs/BatteryState; as in ROS, discharging is negative and unmeasured values are NaN."""
         step = self.clock.step
         self.powered.extend(step)
-        charge, capacity = self.supply.charge(step), self.parameters.battery_capacity
+        charge, capacity = self.supply.charge(step), self.supply.capacity
         return {
             "header": header(self.clock.now_ns, ""),
             "voltage": float(self.supply.terminal_voltage(np.array([step]))[0]),
@@ -260,7 +260,7 @@ class SensorBoard:
             "current": -float(self.supply.current[step]),
             "charge": charge * capacity,
             "capacity": capacity,
-            "design_capacity": capacity,
+            "design_capacity": self.parameters.battery_capacity,
             "percentage": charge,
             "power_supply_status": _DISCHARGING,
             "power_supply_health": _HEALTH_GOOD if self.powered.cut_off is None else _HEALTH_DEAD,

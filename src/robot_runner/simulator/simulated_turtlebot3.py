@@ -63,7 +63,7 @@ class _World:
     def surroundings(self, namespace: str) -> Sequence[Obstacle]:
         """Return the obstacles for the scanner of the robot of this namespace: walls and other robots."""
         others = [body_outline(self._parameters, each.pose) for own, each in self._drives.items() if own != namespace]
-        return (*self._walls, *others)
+        return (*self._walls, *seen_by_scanner(others))
 
 
 class SimulatedTurtlebot3:

@@ -14,7 +14,7 @@ from robot_runner.core.links.robot_name import RobotName
 from robot_runner.core.plugin import Circumstances, System
 from robot_runner.core.storage.input_files import InputFile, input_file
 from robot_runner.ros.robot_system import RobotSystem
-from robot_runner.simulator.embedded_robot import inputs_of, run_simulation
+from robot_runner.simulator.embedded_robot import inputs_of, run_simulation, vain_parameters
 
 if TYPE_CHECKING:
     from robot_runner.simulator.modelled_robot import RobotModel
@@ -85,6 +85,8 @@ class SimulatedWorld(System):
             yield Finding.warning(where, problem, fix)
             return
         yield from self._named_twice(where, robot or "")
+        if self.model is not None:
+            yield from vain_parameters(RobotName.parse(robot or "").options, self.model, where=where)
         for each in circumstances.before(self):
             if isinstance(each, RobotSystem):
                 problem = f"{each.name!r}, which is listed before it, makes the robot before the room is there"

@@ -38,11 +38,13 @@ class Battery:
 
     Attributes:
         resistance: the internal one, in ohms, at the battery's temperature (Arrhenius' law).
+        capacity: what can be had at that temperature, Ah.
     """
 
     def __init__(self, parameters: Turtlebot3Parameters) -> None:
         below = max(0.0, _REFERENCE_TEMPERATURE - parameters.battery_temperature)
-        self._energy = parameters.battery_energy * max(0.01, 1 - below * parameters.battery_cold_loss / 100)
+        share = max(0.01, 1 - below * parameters.battery_cold_loss / 100)
+        self._energy, self.capacity = parameters.battery_energy * share, parameters.battery_capacity * share
         self._initial = parameters.initial_charge / 100
         self.resistance = parameters.battery_resistance * _arrhenius(parameters)
         self._outer = parameters.meter_shunt
@@ -214,6 +216,11 @@ class PowerSupply:
         self._shunt = shunt
         self._known = 0
         self._rows = np.empty((_INITIAL_STEPS, 3))
+
+    @property
+    def capacity(self) -> float:
+        """The battery's capacity in Ah, as far as it can be had at its temperature."""
+        return self._battery.capacity
 
     @property
     def power(self) -> Floats:

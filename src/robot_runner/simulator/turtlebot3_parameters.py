@@ -39,6 +39,14 @@ _BOUNDS = {
     "meter_shunt": (0.001, 100.0),
     "encoder_ticks": (1, 2**31),
 }
+#: The parameters of a robot from a user's model, too: all others are in the model, or nobody knows them.
+SENSOR_PARAMETERS = frozenset(
+    {
+        *("odometry_rate", "imu_rate", "gyroscope_deviation", "accelerometer_deviation"),
+        *("scan_rate", "scan_minimum", "scan_maximum", "scan_deviation"),
+        *("camera_rate", "camera_width", "camera_height"),
+    }
+)
 #: Beginnings of the names of shares of a whole; a task's load is added to that of the idle computer.
 _SHARES = ("initial_charge", "turning_motor_share", "motor_efficiency", "cpu_", "memory_")
 

@@ -76,6 +76,40 @@ def test_requests_are_issued_until_the_task_is_stopped() -> None:
     assert server.answered == 5
 
 
+@pytest.mark.parametrize("is_told", [True, False], ids=["its length is told", "in chunks"])
+def test_a_large_resource_is_broken_off_when_the_task_is_stopped(
+    monkeypatch: pytest.MonkeyPatch, is_told: bool
+) -> None:
+    gone = threading.Event()
+
+    def send_half(page: _Pages) -> None:
+        page.send_response(200)
+        if is_told:
+            page.send_header("Content-Length", "2000")
+        page.end_headers()
+        page.wfile.write(b"-" * 1000)
+        gone.wait(20.0)
+
+    monkeypatch.setattr(_Pages, "do_GET", send_half)
+    with page_server() as server:
+        try:
+            assert request(Orders(0), address(server), 0.0) == "1 requests, 0 failed, 1000 bytes"
+        finally:
+            gone.set()
+
+
+def test_a_resource_that_ends_too_soon_is_a_failure(monkeypatch: pytest.MonkeyPatch) -> None:
+    def send_half(page: _Pages) -> None:
+        page.send_response(200)
+        page.send_header("Content-Length", "2000")
+        page.end_headers()
+        page.wfile.write(b"-" * 1000)
+
+    monkeypatch.setattr(_Pages, "do_GET", send_half)
+    with page_server() as server, pytest.raises(TaskError, match="cannot be fetched"):
+        request(Orders(9), address(server), 0.0)
+
+
 def test_the_rate_is_kept_on_a_schedule() -> None:
     orders = Orders(3)
     with page_server() as server:

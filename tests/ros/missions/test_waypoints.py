@@ -12,6 +12,7 @@ from robot_runner.core.errors import LinkError, PluginError
 from robot_runner.plugins import Circumstances
 from robot_runner.plugins.systems import Waypoints
 from robot_runner.ros.turtlebot3.odometry import Odometer
+from robot_runner.simulator.embedded_robot import run_simulation
 from robot_runner.testing import FakeClock, FakeLinks, FakeRobotLink, SystemContract, make_context, rehearse
 
 if TYPE_CHECKING:
@@ -39,6 +40,27 @@ def test_a_square_ends_where_it_began_and_each_leg_is_measured(tmp_path: Path) -
     with (tmp_path / "runs/r_1/Waypoints/trajectory.csv").open() as file:
         far = max(math.hypot(float(row["x_m"]), float(row["y_m"])) for row in csv.DictReader(file))
     assert far == pytest.approx(0.8 * math.sqrt(2), abs=0.05)
+    context.resources.close()
+
+
+@pytest.mark.parametrize(
+    ("x", "yaw", "times"),
+    [(0.06, None, 1), (0.06, None, 2), (0.1, None, 1), (0.3, None, 1), (0.0, 0.3, 1), (0.0, 0.6, 1), (0.3, 0.3, 1)],
+)
+def test_the_final_errors_are_those_of_the_robot_once_it_stands_still(
+    tmp_path: Path, x: float, yaw: float, times: int
+) -> None:
+    ahead = Waypoints(times * [(x, 0.0) if yaw is None else (x, 0.0, yaw)])
+    context = make_context(tmp_path, ahead)
+    measured = rehearse(context, ahead)
+    simulation = run_simulation(context)
+    simulation.clock.sleep(1.0)
+    pose = simulation.turtlebot3().topics["odom"].latest()["pose"]["pose"]
+    place, turn = pose["position"], pose["orientation"]
+    assert measured["FinalError"] == pytest.approx(math.hypot(place["x"] - x, place["y"]), abs=1e-3)
+    if yaw is not None:
+        turned = 2 * math.atan2(turn["z"], turn["w"])
+        assert measured["FinalYawError"] == pytest.approx(abs(turned - yaw), abs=5e-3)
     context.resources.close()
 
 

@@ -23,10 +23,12 @@ __all__ = ["request"]
 _TIMEOUT = 3.0
 #: So many failures in a row, and the address is taken to be gone.
 _MOST_FAILURES = 3
+#: So many bytes of a resource are read at a time: in between it is looked whether the task is to end.
+_PART = 65536
 
 
 def request(channel: Channel, address: str, rate: float) -> str:
-    """Issue requests until told to end.
+    """Issue requests until told to end; one that is being answered then is broken off.
 
     Args:
         channel: to the node.
@@ -36,12 +38,12 @@ def request(channel: Channel, address: str, rate: float) -> str:
     Raises:
         TaskError: the first request failed, or several in a row did.
     """
-    size = _fetched(address)
+    size = _fetched(channel, address)
     channel.ready()
     done, failed, in_a_row, begun = 1, 0, 0, time.monotonic()
     while not channel.is_over(begun + (done + failed) / rate - time.monotonic() if rate else 0.0):
         try:
-            size += _fetched(address)
+            size += _fetched(channel, address)
             done, in_a_row = done + 1, 0
         except TaskError as error:  # noqa: PERF203 - each request may fail
             failed, in_a_row = failed + 1, in_a_row + 1
@@ -50,12 +52,21 @@ def request(channel: Channel, address: str, rate: float) -> str:
     return f"{done} requests, {failed} failed, {size} bytes"
 
 
-def _fetched(address: str) -> int:
-    """Fetch a resource and return its size in bytes."""
+def _fetched(channel: Channel, address: str) -> int:
+    """Fetch a resource, or as much of it as there is until the task is to end, and return its size in bytes."""
+    size = 0
     try:
         # The scheme was checked by `parameters`.
         with urllib.request.urlopen(address, timeout=_TIMEOUT) as response:  # noqa: S310
-            return len(response.read())
+            whole = response.length  # None: it is not told; `read1` of Python 3.8 does not count it down
+            while size != whole:
+                part = response.read1(_PART)
+                size += len(part)
+                if not part and whole is not None:
+                    raise http.client.IncompleteRead(b"", whole - size)
+                if not part or (size != whole and channel.is_over()):
+                    break
+            return size
     except urllib.error.HTTPError as error:
         error.close()
         raise TaskError(f"{address} answers {error.code} {error.reason}") from error

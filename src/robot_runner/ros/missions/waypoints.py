@@ -31,6 +31,9 @@ _SLOWEST_JUMP = 1.3
 _NO_WAY, _NO_TURN = 0.005, 0.01
 #: How often the robot tries to reach a waypoint.
 _MOST_TRIES = 4
+#: A robot whose pose changes by less than this in one period, m, rad and s, stands still; after so many periods it is
+#: taken to, as an odometry with noise never stands still.
+_STILL_WAY, _STILL_TURN, _STILL_PERIOD, _MOST_PERIODS = 0.001, 0.005, 0.2, 5
 _SHORTEST = 2
 #: Beyond a full turn, rad, a yaw is probably in degrees.
 _MOST_YAW = math.tau + 1e-9
@@ -46,8 +49,8 @@ class _Waypoint:
 class Waypoints(SteeredSystem):
     """Drives from waypoint to waypoint: on the spot to face it, straight to it, and on the spot to the yaw there.
 
-    Each leg is a phase of the mission, `leg_1`, `leg_2` and so on, which the config's `phases` may name. The way is
-    written to `trajectory.csv`.
+    At the last waypoint the robot comes to rest before its errors are taken. Each leg is a phase of the mission,
+    `leg_1`, `leg_2` and so on, which the config's `phases` may name. The way is written to `trajectory.csv`.
 
     Args:
         waypoints: each `(x, y)` or `(x, y, yaw)` in m and rad; `treatment(...)` may stand for any number.
@@ -155,7 +158,7 @@ class Waypoints(SteeredSystem):
             if each.yaw is not None:
                 total, heading = total + self._turning(wrapped(each.yaw - heading)), each.yaw
             here = (each.x, each.y)
-        return total
+        return total + _STILL_PERIOD
 
     def _turning(self, angle: float) -> float:
         return Ramp.covering(angle, self.turn_rate).seconds if abs(angle) > _NO_TURN else 0.0
@@ -196,9 +199,8 @@ class Waypoints(SteeredSystem):
             context.share(leg=number, leg_count=len(self.waypoints))
             with context.phase(f"leg_{number}"):
                 target = _in_odometry(waypoint, start if self.relative_to == "start" else None)
-                self._go_to(robot, target, number, context)
+                here = self._go_to(robot, target, number, context)
             legs.append(clock.now())
-        here = odometer.pose()
         error = math.dist((here.x, here.y), (target.x, target.y))
         yaw_error = [] if target.yaw is None else [abs(wrapped(here.heading - target.yaw))]
         seconds = [later - earlier for earlier, later in pairwise(legs)]
@@ -207,9 +209,11 @@ class Waypoints(SteeredSystem):
             context.doubt(noise.problem, fix=noise.fix, measures=["Distance"])
         return [legs[-1] - legs[0], way, error, *yaw_error, *seconds]
 
-    def _go_to(self, robot: Robot, target: _Waypoint, number: int, context: RobotRunnerContext) -> None:
+    def _go_to(self, robot: Robot, target: _Waypoint, number: int, context: RobotRunnerContext) -> Pose:
+        """Drive to a waypoint and return the pose there; at the last one the robot stands still."""
+        is_last = number == len(self.waypoints)
+        here = self._at_rest(robot, context) if is_last and number > 1 else robot.odometer.pose()
         for _ in range(_MOST_TRIES):
-            here = robot.odometer.pose()
             way = math.dist((here.x, here.y), (target.x, target.y))
             if way > self.tolerance_m:
                 bearing = math.atan2(target.y - here.y, target.x - here.x)
@@ -217,10 +221,22 @@ class Waypoints(SteeredSystem):
                 line = Pose(here.x, here.y, bearing)
                 robot.pilot.drive(line, Ramp.covering(way, self.speed), context.clock.now())
             elif target.yaw is None or abs(wrapped(target.yaw - here.heading)) <= self.tolerance_rad:
-                return
+                return here
             else:
                 self._turn(robot, target.yaw, context)
-        self._check_reached(robot.odometer.pose(), target, number)
+            here = self._at_rest(robot, context) if is_last else robot.odometer.pose()
+        self._check_reached(here, target, number)
+        return here
+
+    def _at_rest(self, robot: Robot, context: RobotRunnerContext) -> Pose:
+        """Return the pose of a robot that was stopped, once it has come to rest."""
+        here = robot.odometer.pose()
+        for _ in range(_MOST_PERIODS):
+            context.clock.sleep(_STILL_PERIOD)
+            before, here = here, robot.odometer.pose()
+            if before.distance_to(here) < _STILL_WAY and abs(wrapped(here.heading - before.heading)) < _STILL_TURN:
+                break
+        return here
 
     def _turn(self, robot: Robot, heading: float, context: RobotRunnerContext) -> None:
         here = robot.odometer.pose()
