@@ -291,7 +291,8 @@ class _Explaining:
             yield "From", "`robot-runner import`"
             return
         if owner == OPERATOR_OWNER:
-            yield "From", "a person, who was asked before the run"
+            when = "after" if measure in self._history.asked_after else "before"
+            yield "From", f"a person, who was asked {when} the run"
             return
         if owner == ROBOTS_OWNER:
             yield "From", "Robot Runner: the robot whose turn it was"

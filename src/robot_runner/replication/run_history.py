@@ -40,6 +40,7 @@ class RunHistory:
         commit: of the config's repository.
         subjects: software under test, with its command and the file of its output.
         steps: what a person did before and after the run, and noted about it.
+        asked_after: the measures that a person was asked for after the run.
         programs: the called programs, by caller.
     """
 
@@ -64,6 +65,7 @@ class RunHistory:
     commit: str = ""
     subjects: list[str] = field(default_factory=list)
     steps: list[tuple[str, str]] = field(default_factory=list)
+    asked_after: set[str] = field(default_factory=set)
     programs: list[tuple[str, str]] = field(default_factory=list)
 
     @classmethod
@@ -112,6 +114,8 @@ class RunHistory:
         notes = "; ".join(f"{name}: {said}" for name, said in record["notes"].items() if said is not None)
         when = "Done after" if record.get("is_after") else "Done before"
         self.steps.append((when, f"{record['step']}{f' ({notes})' if notes else ''}"))
+        if record.get("is_after"):
+            self.asked_after |= record["answers"].keys()
 
     def _take_subject(self, record: dict[str, Any]) -> None:
         if "command" in record:

@@ -56,6 +56,29 @@ def test_a_guess_with_a_unit_of_time_is_told_like_one_without(write_config: Writ
     }
 
 
+def test_what_the_design_or_the_plan_of_the_analysis_takes_is_told_where_to_give_it(write_config: Write) -> None:
+    """As an attribute of the config a warm-up would be none, and nobody would notice."""
+    design = {"warm_up": "2", "blocks": "'Day'", "exclude_combinations": "[]", "design": "None"}
+    plan = {"hypotheses": "[]", "covariates": "['V']", "alpha": "0.01"}
+    found = warnings(write_config("\n".join(f"{name} = {value}" for name, value in (design | plan).items())))
+    assert {name: said.partition("→ ")[2] for name, said in found.items()} == {
+        "warm_up": "Give it to RunTableModel: warm_up=...",
+        "blocks": "Give it to RunTableModel: blocks=...",
+        "exclude_combinations": "Give it to RunTableModel: exclude_combinations=...",
+        "design": "Give it to RunTableModel: design=...",
+        **dict.fromkeys(plan, "Give it to the plan of the analysis: analysis = AnalysisPlan(...)."),
+    }
+
+
+def test_a_duration_that_is_no_method_is_told_how_to_say_it(write_config: Write) -> None:
+    found = warnings(write_config("duration_s = 60"))
+    assert found == {
+        "duration_s": "nothing reads this attribute → Make it a method: def duration_s(self, combination): return 60."
+    }
+    assert not warnings(write_config("def duration_s(self, combination): return 60"))
+    assert not warnings(write_config("duration_s = lambda self, combination: 60"))
+
+
 @pytest.mark.parametrize(
     "body",
     [

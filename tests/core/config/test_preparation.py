@@ -37,6 +37,12 @@ def test_a_well_formed_config_has_no_findings(write_config: Write) -> None:
     assert findings_of(write_config()) == ()
 
 
+@pytest.mark.parametrize("name", [" x ", "-x", ".x", "x."])
+def test_a_name_of_allowed_characters_is_told_where_they_may_stand(write_config: Write, name: str) -> None:
+    (finding,) = [each for each in prepare(write_config(), {"experiment_name": name}).findings if each.is_error]
+    assert "letters a to z, digits, and between them blanks, '.', '_' and '-'" in finding.fix
+
+
 def test_a_config_need_not_derive_from_ours(write_config: Write) -> None:
     head = "from robot_runner import *\nclass RobotRunnerConfig:\n    experiment_name = 'plain'\n"
     experiment = prepare(write_config(head=head)).experiment

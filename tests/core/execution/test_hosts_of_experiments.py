@@ -43,6 +43,17 @@ BLOCKS = """\
     def create_run_table(self):
         return RunTableModel([Factor("Room", ["lab", "hall"])], repetitions=2, blocks="Room", seed=1)
 """
+DESIGNED = """\
+    def create_run_table(self):
+        from robot_runner.designs import Blocks
+        factors = [Factor("Room", ["lab", "hall"]), Factor("Task", ["Video", "Network"])]
+        return RunTableModel(factors, repetitions=2, design=Blocks("Room"), seed=1)
+"""
+WARMED_UP = """\
+    def create_run_table(self):
+        factors = [Factor("Task", ["Video", "Network"])]
+        return RunTableModel(factors, repetitions=2, blocks="Repetition", warm_up=1, seed=1)
+"""
 RESULTS = """
 hosts = {"robot": Host(address="robot", ssh_config=HERE / "ssh_config", fetch=[str(HERE / "on board/*.log")]),
          "base": Host(address="local", fetch=[str(HERE / "here.txt")])}
@@ -135,6 +146,8 @@ def test_hosts_are_checked_before_anything_is_executed(tmp_path: Path) -> None:
     odd = prepare(written_config(tmp_path, 'hosts = {"robot": 5}', head=HEAD, table=ONE))
     assert "the value is {'robot': 5}" in odd.findings[0].problem
     assert "It must be names with addresses" in odd.findings[0].fix
+    blank = prepare(written_config(tmp_path, 'hosts = {"my robot": "local"}', head=HEAD, table=ONE))
+    assert "a name is of letters, digits, '_' and '-'" in blank.findings[0].fix
     with pytest.raises(ConfigError, match="fetch names"):
         raise ConfigError.of_findings(
             prepare(written_config(tmp_path, 'hosts = {"a": Host(address="local", fetch="x")}', head=HEAD)).findings
@@ -143,16 +156,18 @@ def test_hosts_are_checked_before_anything_is_executed(tmp_path: Path) -> None:
 
 @pytest.mark.long
 @pytest.mark.parametrize(
-    ("policy", "before", "robot"),
+    ("policy", "before", "robot", "table"),
     [
-        ("ONCE", ["r_1"], "None"),
-        pytest.param("ONCE", ["r_1"], IN_TURN, marks=pytest.mark.soak),
-        pytest.param("PER_BLOCK", ["r_1", "r_3"], "None", marks=pytest.mark.soak),
-        ("PER_BLOCK", ["r_1", "r_3"], IN_TURN),
+        ("ONCE", ["r_1"], "None", BLOCKS),
+        pytest.param("ONCE", ["r_1"], IN_TURN, BLOCKS, marks=pytest.mark.soak),
+        pytest.param("PER_BLOCK", ["r_1", "r_3"], "None", BLOCKS, marks=pytest.mark.soak),
+        ("PER_BLOCK", ["r_1", "r_3"], IN_TURN, BLOCKS),
+        pytest.param("PER_BLOCK", ["r_1", "r_3"], "None", DESIGNED, id="the blocks are those of a design"),
+        pytest.param("PER_BLOCK", ["w_1", "r_3"], "None", WARMED_UP, id="a warm-up run is of the block that it warms"),
     ],
 )
 def test_hosts_are_started_anew_and_awaited(
-    server: SshServer, tmp_path: Path, policy: str, before: list[str], robot: str
+    server: SshServer, tmp_path: Path, policy: str, before: list[str], robot: str, table: str
 ) -> None:
     script = server.reboot_script()
     body = f"""
@@ -170,7 +185,7 @@ class FileThere(Condition):
 
 
 class RobotRunnerConfig("""
-    executed = execute_in(tmp_path, body, head=HEAD.replace("\n\nclass RobotRunnerConfig(", ready), table=BLOCKS)
+    executed = execute_in(tmp_path, body, head=HEAD.replace("\n\nclass RobotRunnerConfig(", ready), table=table)
     assert executed.finished.failed_count == 0
     assert [each.next_run for each in executed.notices if isinstance(each, HostRestarts)] == before
     assert len((tmp_path / "reboots").read_text().split()) == len(before)
@@ -184,6 +199,16 @@ class RobotRunnerConfig("""
         "its kernel was not restarted" in str(each) for each in executed.notices if isinstance(each, FindingsNoticed)
     )
     assert [record["condition"] for record in executed.journal("waited")] == ["the host was started anew"] * len(before)
+
+
+@pytest.mark.parametrize(("table", "is_warned_of"), [(ONE, True), (BLOCKS, False), (DESIGNED, False)])
+def test_restarting_per_block_is_warned_of_where_the_runs_have_no_blocks(
+    tmp_path: Path, table: str, *, is_warned_of: bool
+) -> None:
+    host = 'Host(address="r", ssh_config=HERE / "none", reboot=Reboot.PER_BLOCK, reboot_command="sudo -n reboot")'
+    findings = prepare(written_config(tmp_path, f'hosts = {{"robot": {host}}}', head=HEAD, table=table)).findings
+    told = [str(each) for each in findings if "the runs have no blocks" in each.problem]
+    assert len(told) == is_warned_of, findings
 
 
 @pytest.mark.parametrize(

@@ -6,6 +6,7 @@ import os
 import re
 import signal
 import threading
+import time
 from contextlib import closing
 from dataclasses import replace
 from types import SimpleNamespace
@@ -17,6 +18,7 @@ from tests.core.execution.conftest import Executed, RecordingObserver
 from tests.long_cases import long_but
 
 from robot_runner.cli.excluding import exclude_runs
+from robot_runner.cli.screens.progress import Progress
 from robot_runner.core.config.operator_steps import OperatorStep
 from robot_runner.core.config.preparation import prepare_or_refuse
 from robot_runner.core.errors import ExecutionError, StorageError
@@ -595,9 +597,14 @@ def test_an_answer_after_a_run_is_a_measure_of_it_entered_by_hand_and_a_note_sta
     assert end["measures"]["Energy"]["value"] == 1.5
     first = executed.journal("operator_step")[0]
     assert (first["is_after"], first["answers"], first["notes"]) == (True, {"trust": 3}, {"remark": "it hummed"})
-    facts = explain_run(executed.folder, "r_1").facts
-    assert ("Done after", "fill in the questionnaire (remark: it hummed)") in facts
-    assert ("Done after", "lift the robot") in facts
+    explained = explain_run(executed.folder, "r_1", ["trust"])
+    assert ("Done after", "fill in the questionnaire (remark: it hummed)") in explained.facts
+    assert ("Done after", "lift the robot") in explained.facts
+    assert ("From", "a person, who was asked after the run") in explained.values[0].facts
+    screen = Progress(time.monotonic)
+    for notice in executed.notices:
+        screen.take(notice)
+    assert list(screen.origins["entered by hand"]) == ["trust"], "the end of the session tells of it"
 
 
 def test_what_a_session_did_not_come_to_ask_after_a_run_is_asked_by_the_next(execute: Callable) -> None:

@@ -136,6 +136,8 @@ class Progress:
     def _take_record(self, notice: notices.RunRecord) -> None:
         run, kind, fields = self.in_flight.get(notice.run_id), notice.kind, notice.fields
         if run is None:
+            if kind == "measure" and fields["value"] is not None:  # somebody was asked for it after the run
+                self.origins.setdefault(str(fields["origin"]), {})[str(fields["name"])] = None
             return
         if kind == "event":
             run.event = str(fields["event"])

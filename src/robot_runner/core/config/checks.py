@@ -35,6 +35,7 @@ from robot_runner.core.errors import (
 from robot_runner.core.events.manager import EVENTS_BY_CALLBACK
 from robot_runner.core.events.measure import CONFIG_OWNER, ROBOT, Measure, MeasureColumns
 from robot_runner.core.late_annotations import names_in
+from robot_runner.core.links.declared_host import Reboot
 from robot_runner.core.links.robot_name import Robots
 from robot_runner.core.plugin import Plugin
 from robot_runner.core.secret_names import shown_settings
@@ -90,6 +91,17 @@ def check_analysis(parameters: Parameters, model: RunTableModel | None, columns:
         if name in taken_out
     ]
     return findings
+
+
+def check_reboots(loaded: LoadedConfig, parameters: Parameters, model: RunTableModel | None) -> list[Finding]:
+    """Return a warning for each host that is to be restarted where blocks change, of runs that have no blocks."""
+    own = as_configured(model) if model is not None else None
+    if own is None or own.blocks or own.design_facts.get("block_columns") or isinstance(own.design, AdaptiveDesign):
+        return []
+    problem = "reboot is Reboot.PER_BLOCK, and the runs have no blocks: it is restarted before the first run alone"
+    fix = "Give the RunTableModel blocks=..., or choose Reboot.ONCE or Reboot.PER_RUN."
+    names = [name for name, host in parameters.hosts.items() if host.reboot is Reboot.PER_BLOCK]
+    return [Finding.warning(f"{loaded.where}.hosts[{name!r}]", problem, fix) for name in names]
 
 
 def check_repeat_until(

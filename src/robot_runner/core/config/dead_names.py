@@ -51,6 +51,15 @@ _ATTRIBUTES = {
     "Give it to RunTableModel: shuffle=True, seed=...": (
         "shuffle randomize randomise randomize_order random_order randomize_runs seed random_seed"
     ),
+    "Give it to RunTableModel: warm_up=...": "warm_up warmup warm_ups warmups warm_up_runs warmup_runs num_warmup_runs",
+    "Give it to RunTableModel: blocks=...": "blocks block block_by blocking",
+    "Give it to RunTableModel: exclude_combinations=...": (
+        "exclude_combinations excluded_combinations exclude exclusions exclude_variations"
+    ),
+    "Give it to RunTableModel: design=...": "design experiment_design experimental_design",
+    "Give it to the plan of the analysis: analysis = AnalysisPlan(...).": (
+        "hypotheses hypothesis covariates alpha significance_level analysis_plan"
+    ),
     "Return a RunTableModel from create_run_table.": "run_table run_table_model factors treatments data_columns",
     "Call it experiment_name.": "name title experiment",
     "Call it results_output_path.": (
@@ -60,6 +69,7 @@ _ATTRIBUTES = {
         "time_between_runs time_between_runs_in_s cooldown cooldown_time cool_down rest_time pause_between_runs delay"
     ),
     "Use run_deadline_in_s, or event_deadline_in_s.": "timeout run_timeout max_duration max_run_time deadline",
+    "Make it a method: def duration_s(self, combination): return 60.": "duration_s",
     "Call it operation_type: OperationType.AUTO or OperationType.SEMI.": "operation mode run_mode",
     "Call it required_ros_version.": "ros_version",
     "Call it required_ros_distro.": "ros_distro ros_distribution",

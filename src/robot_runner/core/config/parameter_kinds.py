@@ -110,7 +110,7 @@ def instances(of: type, expected: str) -> Kind:
 
 _FOLDER_NAME = re.compile(r"[A-Za-z0-9](?:[A-Za-z0-9 ._-]{0,126}[A-Za-z0-9_-])?")
 NAME = Kind(
-    "a name that can name a folder: the letters a to z, digits, blanks, '.', '_' and '-', 128 at most",
+    "a name that can name a folder: the letters a to z, digits, and between them blanks, '.', '_' and '-', 128 at most",
     lambda value: isinstance(value, str) and _FOLDER_NAME.fullmatch(value) is not None,
 )
 PATH = Kind(
@@ -149,7 +149,8 @@ AUTHORS = Kind(
     lambda value: tuple(each if isinstance(each, Author) else Author(each.strip()) for each in value),
 )
 HOSTS = Kind(
-    'names with addresses, such as {"robot": "pi@robot", "base": "local"}, or with Host(...), in the config file',
+    'names with addresses, such as {"robot": "pi@robot", "base": "local"}, or with Host(...), in the config file; '
+    "a name is of letters, digits, '_' and '-'",
     are_hosts,
     _not_from_text,
     named_hosts,

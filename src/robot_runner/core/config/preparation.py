@@ -180,6 +180,7 @@ def prepare(
         findings += check_callbacks(loaded, parameters, events)
         findings += check_registration(loaded, model, parameters, columns) if is_for_here else ()
         findings += checks.check_repeat_until(loaded, parameters, model, columns)
+        findings += checks.check_reboots(loaded, parameters, model)
         findings += check_workers(loaded.where, parameters, plugins, events, model)
     if is_for_here:
         findings += _check_machine(loaded, parameters, plugins, complete, events if looks_at_graph else None)

@@ -6,11 +6,14 @@ import logging
 import time
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import cached_property
 from typing import Any
 
 from robot_runner.core.config.parameters import OperationType
 from robot_runner.core.design.columns import REPETITION
 from robot_runner.core.design.design import HeldOrder
+from robot_runner.core.design.factor import texts_of
+from robot_runner.core.design.planned_runs import PlannedRun
 from robot_runner.core.errors import CommandError, ExecutionError, Finding, LinkError
 from robot_runner.core.events.context import RobotRunnerContext
 from robot_runner.core.events.measure import CONFIG_OWNER
@@ -187,11 +190,19 @@ class _Reboots:
             case Reboot.PER_BLOCK:
                 return self._last is None or self._block(run) != self._block(self._last)
 
-    def _block(self, run: PendingRun) -> str | None:
-        task, blocks = self._progress.task_of(run), self._experiment.model.blocks
-        if blocks is None:
+    def _block(self, run: PendingRun) -> object:
+        """Return the number of a run's block in the plan; of a row of the user's own what `blocks` names."""
+        task, model = self._progress.task_of(run), self._experiment.model
+        planned = self._planned.get(run.run_id)
+        if planned is not None and texts_of(planned.combination) == texts_of(task.combination):
+            return planned.block
+        if model.blocks is None:
             return None
-        return str(task.repetition if blocks == REPETITION else task.combination.get(blocks))
+        return task.repetition if model.blocks == REPETITION else str(task.combination.get(model.blocks))
+
+    @cached_property
+    def _planned(self) -> Mapping[str, PlannedRun]:
+        return {each.run_id: each for each in self._experiment.model.plan(self._progress.seed)}
 
     def _restart(self, name: str, host: Host, task: RunTask) -> Steps[None]:
         self._ongoing.notify(HostRestarts(name, task.run_id))

@@ -60,7 +60,10 @@ class AttemptStarted:
 
 @dataclass(frozen=True, slots=True)
 class RunRecord:
-    """Something happened in the run: an event, a measure, key-value pairs, a finding, a failure."""
+    """Something happened in the run: an event, a measure, key-value pairs, a finding, a failure.
+
+    Of a run that has ended, it is a measure that a person was asked for afterwards.
+    """
 
     run_id: str
     kind: str

@@ -15,7 +15,13 @@ from robot_runner.core.config.operator_steps import OperatorStep, Question, read
 from robot_runner.core.design.watched_combination import WatchedCombination
 from robot_runner.core.errors import ExecutionError, MeasureError
 from robot_runner.core.events.measure import OPERATOR_OWNER, MeasureValue, Origin
-from robot_runner.core.execution.notices import AnswersRefused, QuestionAsked, UserHasContinued, WaitingForUser
+from robot_runner.core.execution.notices import (
+    AnswersRefused,
+    QuestionAsked,
+    RunRecord,
+    UserHasContinued,
+    WaitingForUser,
+)
 from robot_runner.core.execution.orchestrator_events import OngoingExperiment
 from robot_runner.core.execution.patience import Pause, Steps
 from robot_runner.core.execution.step_history import StepHistory, still_to_do
@@ -108,6 +114,7 @@ class Operator:
             builder.go_on_from(outcome)
             for name, value in measures.items():
                 builder.take("measure", _as_measure(name, value))
+                self._notify(RunRecord(run.run_id, "measure", _as_measure(name, value)))
             # The answers are recorded before the step: one that is recorded as done is not asked for again.
             outcome = self._progress.amend_outcome(self._progress.task_of(run, place), outcome, builder.outcome())
             facts = {"run": run.run_id, "step": step.name, "treatments": {}, "answers": measures, "notes": notes}
