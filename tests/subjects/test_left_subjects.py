@@ -84,3 +84,12 @@ def test_software_that_became_another_user_over_there_is_not_taken_for_dead(
     start.events.write_text("".join(json.dumps(each) + "\n" for each in events))
     with pytest.raises(PluginError, match="it goes on on robot, out of reach"):
         check_within_reach("Planner", start, around)
+
+
+def test_software_of_whose_start_nothing_was_heard_before_its_run_was_killed_may_drive_on(start: Start) -> None:
+    # Its computer had fallen silent in the moment of the start: only its commands were seen on the graph.
+    around = Surroundings.of("Planner", folder=None, environment={}, setup=None, host="robot", ssh_config=None)
+    with pytest.raises(PluginError, match="whether it was started on robot is not known"):
+        check_within_reach("Planner", start, around)
+    start.events.write_text(json.dumps({"refused": "no such program"}) + "\n")
+    check_within_reach("Planner", start, around)

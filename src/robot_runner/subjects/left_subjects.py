@@ -51,16 +51,19 @@ def check_within_reach(name: str, start: Start, around: Surroundings) -> None:
         PluginError: it may go on, and has commanded the robot.
     """
     host = around.host
-    if host is None or start.pid is None or not CommandedTopics(start).by_robot():
+    if host is None or start.refusal or not CommandedTopics(start).by_robot():
         return
     start.await_end(_ENDING)
-    ended = start.ended()
+    ended, pid = start.ended(), start.pid
     if ended is not None and ended.code is not None:
         return
-    is_alive = _is_alive(start.pid, host, around.ssh_config)
+    # The run may have been killed between the first command and the message of the start.
+    is_alive = None if pid is None else _is_alive(pid, host, around.ssh_config)
     # Where it goes on under its supervisor, it takes longer to end, and the robot is stopped once more after that.
     if is_alive is None or (is_alive and not start.is_supervised()):
-        what = f"its computer, {host}, is out of reach" if is_alive is None else f"it goes on on {host}, out of reach"
+        what = f"it goes on on {host}, out of reach" if is_alive else f"its computer, {host}, is out of reach"
+        if pid is None:
+            what = f"whether it was started on {host} is not known"
         problem = f"{what}, and it commands the robot until it is ended there, {LEASE:g} s after the connection"
         raise PluginError(problem, where=name, fix=STOP_BY_HAND)
 
