@@ -1,9 +1,10 @@
 """The definitions of types that are known without any ROS, beside those of the stores of `rosbags`.
 
 Sources, as of each distribution's branch, whose fields are the same on the wire: `example_interfaces` and `nav2_msgs`
-(Apache 2.0), `control_msgs`, `actionlib_tutorials`, `move_base_msgs` and `action_msgs` (BSD, Apache 2.0);
-rcl_interfaces and lifecycle_msgs 1.2 (Humble) and later; tf2_msgs of noetic, dynamic_reconfigure 1.7; gazebo_msgs,
-webots_ros, ros_gz_interfaces and simulation_interfaces, without comments and constants, which say nothing of the bytes.
+(Apache 2.0), `control_msgs`, `ackermann_msgs`, `actionlib_tutorials`, `move_base_msgs` and `action_msgs` (BSD,
+Apache 2.0); rcl_interfaces and lifecycle_msgs 1.2 (Humble) and later; tf2_msgs of noetic, dynamic_reconfigure 1.7;
+gazebo_msgs, webots_ros, ros_gz_interfaces and simulation_interfaces, without comments and constants, which say nothing
+of the bytes.
 """
 
 from __future__ import annotations
@@ -15,6 +16,8 @@ _STANDARD = {
     "std_srvs/Trigger.srv": "---\nbool success\nstring message\n",
 }
 
+#: A car's command; both generations have the same.
+_CAR = "float32 steering_angle\nfloat32 steering_angle_velocity\nfloat32 speed\nfloat32 acceleration\nfloat32 jerk\n"
 _FIBONACCI = "int32 order\n---\nint32[] sequence\n---\nint32[] sequence\n"
 #: Foxy's Nav2 does not tell it.
 _ESTIMATE = "builtin_interfaces/Duration estimated_time_remaining\n"
@@ -162,6 +165,8 @@ def bundled_definitions(generation: int, distro: str) -> dict[str, str]:
     result = f"{result or _LATEST_NAVIGATION_RESULT}\n---\n{navigated}"
     found = {
         **_STANDARD,
+        "ackermann_msgs/AckermannDrive.msg": _CAR,
+        "ackermann_msgs/AckermannDriveStamped.msg": "std_msgs/Header header\nackermann_msgs/AckermannDrive drive\n",
         "control_msgs/JointTolerance.msg": _TOLERANCE,
         "example_interfaces/Fibonacci.action": _FIBONACCI,
         "nav2_msgs/NavigateToPose.action": f"geometry_msgs/PoseStamped pose\nstring behavior_tree\n---\n{result}",
