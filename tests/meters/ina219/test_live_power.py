@@ -65,6 +65,8 @@ def test_the_power_is_shown_while_it_is_measured_and_gone_when_the_samples_are_t
     assert heading == "time_s,power_W"
     assert [float(row.split(",")[1]) for row in rows] == [pytest.approx(0.613 * 12.4)] * len(rows)
     assert not shown.exists()
+    # A busy machine may leave no value of so short a mission, and never a wrong one.
+    assert context.measures["MeanPower"] in (None, pytest.approx(0.613 * 12.4))
     assert (context.raw_data_folder / "samples.csv").exists()
 
 
