@@ -23,6 +23,7 @@ from robot_runner.core.execution.notices import SilentObserver
 from robot_runner.core.execution.orchestrator import execute_experiment
 from robot_runner.core.storage.journal import read_journal
 from robot_runner.page.event_stream import as_json
+from robot_runner.page.page_access import Keys, Role
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -269,6 +270,24 @@ def test_a_page_beside_an_execution_ends_with_it(write_config: Callable[..., Pat
     assert (refused.returncode, f"port {port} is in use" in refused.stderr) == (2, True)
     kinds = [each["kind"] for each in read_journal(tmp_path / "results" / "trial" / "journal.jsonl")]
     assert kinds.count("experiment_started") == 1, "it was executed without its page"
+
+
+def test_the_secret_of_the_links_can_be_read_by_its_user_alone_from_the_first_moment(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
+    (tmp_path / "robot-runner").mkdir(mode=0o755)
+    seen: list[int] = []
+    rename = os.replace
+
+    def rename_and_look(source: str, target: str, **folders: int) -> None:
+        rename(source, target, **folders)
+        seen.append(os.stat(target, dir_fd=folders["dst_dir_fd"]).st_mode & 0o077)
+
+    monkeypatch.setattr(os, "replace", rename_and_look)
+    first = Keys.of_user()
+    assert seen == [0]
+    assert Keys.of_user().key(Role.LOOKS) == first.key(Role.LOOKS)
 
 
 @pytest.mark.long

@@ -13,7 +13,7 @@ from collections import OrderedDict
 from collections.abc import Iterable, Mapping
 from enum import IntEnum
 
-from robot_runner.core.storage.guarded_files import MissingFileError, read_text, remove, replace
+from robot_runner.core.storage.guarded_files import MissingFileError, open_to_write, read_text, remove
 from robot_runner.core.storage.layout import user_folder
 from robot_runner.core.storage.system_refusals import storage_errors
 
@@ -71,8 +71,8 @@ class Keys:
             found = b""
         if len(found) != _SECRET_BYTES:
             found = secrets.token_bytes(_SECRET_BYTES)
-            replace(path, found.hex())
-            path.chmod(0o600)
+            with open_to_write(path, mode=0o600) as file:
+                file.write(found.hex().encode())
         return cls(found)
 
     def key(self, role: Role) -> str:
