@@ -93,6 +93,8 @@ class Channel:
         self._viewers: set[Viewer] = set()
         self._last: dict[str, bytes] = {}
         self._task: asyncio.Task[None] | None = None
+        #: Held from a look or a snapshot until it is sent, so that nobody is told an earlier state after a later one.
+        self._turn = asyncio.Lock()
         self.used_at = time.monotonic()
         self.has_looked = asyncio.Event()
 
@@ -111,9 +113,10 @@ class Channel:
         self.wake()
         await self.has_looked.wait()
         viewer = Viewer()
-        self._viewers.add(viewer)
-        for name, data in (await asyncio.to_thread(self._snapshot)).items():
-            viewer.put(_event(name, data))
+        async with self._turn:
+            for name, data in (await asyncio.to_thread(self._snapshot)).items():
+                viewer.put(_event(name, data))
+            self._viewers.add(viewer)
         return viewer
 
     def leave(self, viewer: Viewer) -> None:
@@ -128,18 +131,21 @@ class Channel:
 
     async def _follow(self) -> None:
         while self._viewers or time.monotonic() - self.used_at < _PATIENCE:
-            parts = await asyncio.to_thread(self._look)
+            async with self._turn:
+                self._tell(await asyncio.to_thread(self._look))
             self.has_looked.set()
-            for name, data in parts.items():
-                message = _event(name, data)
-                # Rows are changes; all other parts are complete, and sent only if they differ.
-                if name == "rows" or self._last.get(name) != message:
-                    if name != "rows":
-                        self._last[name] = message
-                    for viewer in self._viewers:
-                        viewer.put(message)
             await asyncio.sleep(_AT_ONCE if self._followed.is_behind else self._every)
         self.has_looked.clear()
+
+    def _tell(self, parts: Mapping[str, Any]) -> None:
+        for name, data in parts.items():
+            message = _event(name, data)
+            # Rows are changes; all other parts are complete, and sent only if they differ.
+            if name == "rows" or self._last.get(name) != message:
+                if name != "rows":
+                    self._last[name] = message
+                for viewer in self._viewers:
+                    viewer.put(message)
 
 
 class Followers:
