@@ -23,7 +23,12 @@ from robot_runner.ros.dds_link import open_dds_link
 
 pytest.importorskip("cyclonedds", reason="it is not published built for every machine")
 
+from cyclonedds.qos import Policy
+from cyclonedds.qos import Qos as DdsQos
+
 from robot_runner.ros import dds_reception, dds_transport, graph_look
+from robot_runner.ros.dds_qos import reader_profile
+from robot_runner.ros.dds_reception import topic_wire_type
 
 DOMAIN = claim_domain()
 STRING, PLACE = "std_msgs/String", "lab_msgs/Place"
@@ -265,6 +270,28 @@ def test_a_subscriber_that_asks_for_more_than_is_published_is_an_error_that_name
         mine.publish("cmd_vel", "geometry_msgs/Twist", {}, qos=Qos.SENSOR_DATA)
     mine.publish("cmd_vel", "geometry_msgs/Twist", {"linear": {"x": 0.5}})
     assert node.until(lambda fact: "velocity" in fact) == {"velocity": 0.5}
+
+
+@pytest.mark.parametrize(
+    ("asked", "problem"),
+    [
+        (Policy.Deadline(500_000_000), "deadline: messages are to be at most 0.5 s apart, which is not promised"),
+        (Policy.Liveliness.ManualByTopic(10**9), "liveliness: the publisher is to keep telling that it is alive"),
+    ],
+)
+def test_a_subscriber_that_asks_for_a_deadline_or_liveliness_is_an_error_that_names_it(link, asked, problem):
+    base, mine = link(distro="jazzy"), link(distro="jazzy")
+    mine.advertise("late", "std_msgs/String")
+    session = base._transport._session
+    wire_type = topic_wire_type(session.types.shape("std_msgs/String"))
+    plain = reader_profile(Qos.DEFAULT, session.type_hash("std_msgs/String"))
+    readers = []
+    for topic in ("early", "late"):
+        mine.subscribe(topic, "std_msgs/String", print)  # as who watches for rivals does
+        readers.append(session.reader(f"rt/{topic}", wire_type, DdsQos(*plain, asked)))
+        _await(lambda topic=topic: any(not each.is_own for each in mine.subscribers(topic)))
+        with pytest.raises(LinkError, match=problem):
+            mine.advertise(topic, "std_msgs/String")
 
 
 def test_a_topic_of_another_type_is_an_error_that_names_both(other, link):

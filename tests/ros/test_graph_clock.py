@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import threading
+from contextlib import closing
 
 import pytest
+from tests.ros.dds_domain import LOOPBACK, claim_domain
+from tests.waiting import PATIENCE, wait_until
 
 from robot_runner.core.errors import LinkError
-from robot_runner.core.events.context import Clock
-from robot_runner.core.links.robot import GraphEndpoint
+from robot_runner.core.events.context import Clock, SystemClock
+from robot_runner.core.links.robot import Encoding, GraphEndpoint, RawMessage
 from robot_runner.core.links.robot_name import RobotName
 from robot_runner.ros import graph_clock
+from robot_runner.ros.dds_link import open_dds_link
 from robot_runner.ros.graph_clock import GraphClock
 from robot_runner.ros.graph_links import clock_fix
 from robot_runner.testing import FakeClock, FakeRobotLink
@@ -64,6 +68,37 @@ def test_a_sleep_lasts_until_the_graph_s_time_has_come(link):
     assert woken
     assert woken[0] >= 2.0
     clock.sleep(-1.0)
+
+
+def test_it_goes_on_while_a_callback_of_the_run_is_at_work(monkeypatch):
+    pytest.importorskip("cyclonedds", reason="it is not published built for every machine")
+    monkeypatch.setenv("CYCLONEDDS_URI", LOOPBACK)
+    options = {"domain": str(claim_domain()), "distro": "jazzy"}
+    with (
+        closing(open_dds_link(options, SystemClock())) as robot,
+        closing(open_dds_link(options, SystemClock())) as link,
+    ):
+        began, released = threading.Event(), threading.Event()
+
+        def work(_):
+            began.set()
+            released.wait(PATIENCE)
+
+        clock = GraphClock(link)
+        link.subscribe("chatter", "std_msgs/String", work)
+        wait_until(lambda: robot.publish("chatter", "std_msgs/String", {"data": "a"}) or began.is_set())
+        told = {"clock": {"sec": 12, "nanosec": 500_000_000}}
+        wait_until(lambda: robot.publish("/clock", "rosgraph_msgs/Clock", told) or clock.now() == 12.5, seconds=20.0)
+        released.set()
+
+
+def test_the_time_of_ros_1_is_read(link):
+    link.encoding = Encoding.ROS1
+    heard = []
+    link.subscribe_raw = lambda topic, kind, callback: heard.append(callback)
+    clock = GraphClock(link)
+    heard[0](RawMessage(bytes([12, 0, 0, 0, 0, 101, 205, 29]), 0))
+    assert clock.now() == 12.5
 
 
 def test_a_clock_that_nobody_tells_is_an_error(link, monkeypatch):

@@ -11,6 +11,7 @@ from robot_runner.core.errors import LinkError
 from robot_runner.core.events.context import SystemClock
 from robot_runner.core.events.resources import Resources
 from robot_runner.core.links.connect import connect_robot, link_findings, lives_by_simulation, open_clock
+from robot_runner.core.links.robot import Encoding, RawMessage
 from robot_runner.core.links.robot_name import RobotName
 from robot_runner.ros import graph_links
 from robot_runner.ros.graph_clock import GraphClock
@@ -82,8 +83,13 @@ def test_the_clock_is_this_machine_s_unless_the_graph_s_is_asked_for(opening):
     assert "clock=graph" in caught.value.fix
 
 
+def _tell_nine(link):
+    nine = RawMessage(bytes([0, 1, 0, 0, 9, 0, 0, 0, 0, 0, 0, 0]), 0)
+    link.encoding, link.subscribe_raw = Encoding.CDR, lambda topic, kind, callback: callback(nine) or print
+
+
 def test_a_run_on_the_graph_s_clock_shares_its_link_with_the_robot(opening, tmp_path, monkeypatch):
-    opening.link.subscribe = lambda topic, kind, callback: callback({"clock": {"sec": 9, "nanosec": 0}}) or print
+    _tell_nine(opening.link)
     resources = Resources()
     clock = open_clock("dds:clock=graph", resources, 1)
     assert isinstance(clock, GraphClock)
@@ -92,7 +98,7 @@ def test_a_run_on_the_graph_s_clock_shares_its_link_with_the_robot(opening, tmp_
 
 
 def test_a_run_on_the_graph_s_clock_commands_the_robot_that_is_named_and_no_other(opening, tmp_path):
-    opening.link.subscribe = lambda topic, kind, callback: callback({"clock": {"sec": 9, "nanosec": 0}}) or print
+    _tell_nine(opening.link)
     opening.follows_graph_clock = lambda options: True  # as a master of ROS 1 says
     for robot in ("dds:clock=graph,namespace=/alice", "ros1://alice"):
         opening.opened.clear()

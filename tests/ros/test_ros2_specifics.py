@@ -19,6 +19,7 @@ from robot_runner.core.events.context import SystemClock
 from robot_runner.core.links.robot import Qos
 from robot_runner.ros.dds_link import open_dds_link
 from robot_runner.ros.ros2_link import open_ros2_link
+from robot_runner.testing.action_contract import faults_told
 
 pytestmark = pytest.mark.ros2
 
@@ -140,6 +141,66 @@ def test_nothing_is_left_behind(link):
         assert other.is_simulated
         other.offer("lamp", TRIGGER, lambda _: {})
     assert threading.active_count() <= before
+
+
+@pytest.mark.parametrize(("limit", "told_of"), [("_MOST_WAITING", "5 messages of 0 MiB"), ("_MOST_WAITING_BYTES", "")])
+def test_callbacks_that_take_less_than_comes_fail_the_run_once_and_do_not_fill_the_memory(
+    link, monkeypatch, limit, told_of
+):
+    from robot_runner.ros import ros2_node
+
+    monkeypatch.setattr(ros2_node, limit, 5 if told_of else 300)
+    released, taken = threading.Event(), []
+
+    def take(scan):
+        taken.append(scan)
+        released.wait(60.0)
+
+    with faults_told() as told:
+        link.subscribe("scan", SCAN, take)
+        until(lambda: told, lambda: link.publish("scan", SCAN, {}))
+        for _ in range(5):
+            link.publish("scan", SCAN, {})
+        released.set()
+        until(lambda: len(taken) > 1)
+    assert len(told) == 1
+    assert f"callbacks are too slow: {told_of}" in told[0]
+
+
+@pytest.mark.parametrize(
+    ("asked", "problem"),
+    [
+        ({"durability": "TRANSIENT_LOCAL"}, "durability: it is published volatile, and subscribed transient local"),
+        ({"deadline": 0.5}, "deadline: messages are to be at most 0.5 s apart, which is not promised"),
+        ({"liveliness_lease_duration": 1.0}, "liveliness: the publisher is to keep telling that it is alive"),
+        ({"liveliness": "MANUAL_BY_TOPIC"}, "liveliness: the publisher is to keep telling that it is alive"),
+    ],
+)
+def test_a_subscriber_that_asks_for_more_than_is_published_is_an_error_before_and_after_it_is_advertised(
+    link, asked, problem
+):
+    from geometry_msgs.msg import Twist
+    from rclpy import Context, create_node
+    from rclpy.duration import Duration
+    from rclpy.qos import DurabilityPolicy, LivelinessPolicy, QoSProfile
+
+    kinds = {"durability": DurabilityPolicy, "liveliness": LivelinessPolicy}
+    policies = {
+        name: getattr(kinds[name], value) if name in kinds else Duration(seconds=value) for name, value in asked.items()
+    }
+    context = Context()
+    context.init(domain_id=int(DOMAIN))
+    base = create_node("base", context=context)
+    link.advertise("late", "geometry_msgs/Twist")
+    for topic in ("early", "late"):
+        link.subscribe(topic, "geometry_msgs/Twist", print)  # as who watches for rivals does
+        base.create_subscription(Twist, topic, print, QoSProfile(depth=1, **policies))
+        until(lambda topic=topic: any(not each.is_own for each in link.subscribers(topic)))
+        with pytest.raises(LinkError, match=problem) as caught:
+            link.advertise(topic, "geometry_msgs/Twist")
+        assert caught.value.where == f"/{topic}"
+    base.destroy_node()
+    context.shutdown()
 
 
 def test_a_publisher_that_misfits_while_a_subscription_is_made_is_adapted_to(link, monkeypatch):

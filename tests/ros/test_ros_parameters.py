@@ -207,6 +207,49 @@ def test_what_somebody_else_sets_during_the_mission_makes_the_run_doubtful(tmp_p
     assert node.values == {"speed": 0.2}
 
 
+def test_a_parameter_without_a_value_keeps_the_one_of_the_run_as_ros_2_would_undeclare_it(tmp_path, state):
+    run = Run(tmp_path, RosParameters({"planner": {"speed": 0.5, "count": 2.0}}))
+    node = ParameterNode(run.link, "/planner", {"count": None, "speed": None})
+    node.values["count"] = 2
+    run.execute()
+    assert (node.values, type(node.values["count"])) == ({"speed": 0.5, "count": 2}, int)
+    (finding,) = run.findings
+    assert finding["problem"] == "speed of /planner had no value before the run, and keeps 0.5"
+    assert list(state.iterdir()) == []
+
+
+def test_a_parameter_that_is_gone_after_the_mission_makes_the_run_doubtful(tmp_path, state):
+    run = Run(tmp_path, RosParameters({"planner": {"speed": 0.5, "size": 3}}))
+    node = ParameterNode(run.link, "/planner", {"speed": 0.2, "size": 1})
+    run.execute(lambda: node.values.pop("size"))
+    (finding,) = run.findings
+    assert finding["problem"] == "size of /planner was set to 3, and is not there after the mission"
+    assert node.values == {"speed": 0.2}
+    assert list(state.iterdir()) == []
+
+
+def test_what_a_killed_run_set_and_the_node_lacks_by_now_keeps_no_run_from_its_start(tmp_path, state):
+    left({"/planner": {"speed": 1.0, "old": 3}}, {"/planner": {"speed": 0.2, "old": 1}})
+    run = Run(tmp_path, RosParameters({"planner": {"speed": 0.6}}))
+    node = ParameterNode(run.link, "/planner", {"speed": 1.0})
+    run.execute()
+    assert node.values == {"speed": 0.2}
+    problems = [finding["problem"] for finding in run.findings]
+    assert problems[1:] == ["old of /planner is not there any more, so that it is not put back"]
+    assert list(state.iterdir()) == []
+
+
+def test_what_a_killed_run_set_and_cannot_be_put_back_is_told_with_its_file(tmp_path, state):
+    left({"/planner": {"speed": 1.0}}, {"/planner": {"speed": 0.2}})
+    run = Run(tmp_path, RosParameters({"planner": {"speed": 0.6}}))
+    ParameterNode(run.link, "/planner", {"speed": 1.0}, refuses=lambda _, value: "slow" if value == 0.2 else "")
+    with pytest.raises(LinkError, match="refuses the value: slow") as told:
+        run.execute()
+    (file,) = state.iterdir()
+    assert f"are still as RosParameters set them in process {_DEAD}" in told.value.problem
+    assert told.value.fix == f"Put it back by hand, and remove {file}."
+
+
 def test_a_node_that_has_gone_is_told_and_fails_nothing(tmp_path):
     run = Run(tmp_path, RosParameters({"planner": {"speed": 1.0}}))
     node = ParameterNode(run.link, "/planner", {"speed": 0.2})

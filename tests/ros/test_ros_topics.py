@@ -74,6 +74,15 @@ def test_what_is_lost_is_not_known_in_ros_2(measure):
     assert "nothing numbers the messages" in finding.problem
 
 
+def test_that_several_publishers_number_the_messages_is_said_where_losses_are_not_known():
+    topic = ReceivedTopic("Odom", None)
+    for place, number in enumerate((5, 5, 6, 7, 7, 8, 8)):
+        topic.times.append(0.1 * place)
+        topic.ages.append(0.0)
+        topic.sequence.append(number)
+    assert "several publishers number the messages" in topic.loss_doubt(Window(-0.1, 0.65))
+
+
 def test_losses_between_two_windows_belong_to_one_of_them_and_those_that_may_come_later_to_none():
     topic = ReceivedTopic("Odom", None)
     for number in (1, 2, 3, 7, 8, 9, 10, 11, 12, 13):
@@ -210,6 +219,8 @@ def test_the_topics_of_the_simulated_robot_have_the_rates_of_the_real_one(tmp_pa
         ([7], None),
         ([], None),
         ([5, 900, 6, 901, 7, 902], None),
+        ([5, 5, 6, 7, 7, 8, 8], None),  # of two publishers in step, one has lost its 6
+        ([5, 6, 6, 7, 8, 8, 9], None),
     ],
 )
 def test_losses_are_the_gaps_of_a_publisher_s_numbers(sequence, lost):

@@ -101,7 +101,7 @@ def test_a_message_that_comes_while_another_subscription_begins_comes_once(serve
     first = link.subscribe("map", STRING, print)
     (topic,) = link._transport._topics.values()
 
-    class Keeping(type(topic.kept)):
+    class Keeping(type(topic.kept[False])):
         """Kept messages; another subscription begins as soon as one was added."""
 
         def append(self, each):
@@ -112,7 +112,7 @@ def test_a_message_that_comes_while_another_subscription_begins_comes_once(serve
             beginning.start()
             beginning.join(0.3)
 
-    topic.kept = Keeping(maxlen=1)
+    topic.kept[False] = Keeping(maxlen=1)
     server.publish("/map", STRING, {"data": "once"})
     wait_until(lambda: heard)
     time.sleep(0.1)

@@ -1,4 +1,4 @@
-"""One thread for each participant, which takes the samples of its readers and calls their handlers."""
+"""Threads that take the samples of a participant's readers and call their handlers."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import logging
 import threading
 import time
 import types
+from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
 from functools import lru_cache, partial
@@ -179,7 +180,7 @@ class Source:
 
 
 class Reception:
-    """The readers of a participant, served by one thread of its own.
+    """Readers of a participant, served by one thread of their own: the topics of a lane, or services and the graph.
 
     It uses a wait set rather than listeners: these are called in the receiving threads, where a slow callback would
     delay everything that arrives.
@@ -194,7 +195,13 @@ class Reception:
         self._turned = threading.Condition()
         self._is_closed = False
         self._is_woken = False
+        self._asked: deque[Callable[[], None]] = deque()
         self._thread = threading.Thread(target=self._serve, name="dds reception", daemon=True)
+
+    @property
+    def is_served_here(self) -> bool:
+        """Whether this is the thread that serves, as in a callback."""
+        return threading.current_thread() is self._thread
 
     def start(self) -> None:
         """Begin to serve."""
@@ -230,8 +237,11 @@ class Reception:
         self._take(source, KEPT)
 
     def when_idle(self, source: Source, act: Callable[[], None]) -> None:
-        """Call `act` now, or once the source's handler has returned; call this in the thread that serves."""
-        if source.is_busy:
+        """Call `act` in the thread that serves, as soon as the source's handler has returned."""
+        if not self.is_served_here:
+            self._asked.append(partial(self._do, source, partial(self.when_idle, source, act)))
+            self.wake()
+        elif source.is_busy:
             source.afterwards = act
         else:
             act()
@@ -241,7 +251,7 @@ class Reception:
 
         A callback may wait, too: samples are then served within it.
         """
-        if threading.current_thread() is self._thread:
+        if self.is_served_here:
             return self._turn_until(is_so, timeout)
         deadline = time.monotonic() + timeout
         with self._turned:
@@ -259,7 +269,7 @@ class Reception:
 
     def wait_event(self, event: threading.Event, timeout: float) -> None:
         """Wait for an event that any thread may set; otherwise like `wait_for`."""
-        if threading.current_thread() is self._thread:
+        if self.is_served_here:
             self._turn_until(event.is_set, timeout)
         else:
             event.wait(timeout)
@@ -272,7 +282,7 @@ class Reception:
         self._guard.set(True)
         with self._turned:
             self._turned.notify_all()
-        if self._thread.is_alive() and threading.current_thread() is not self._thread:
+        if self._thread.is_alive() and not self.is_served_here:
             self._thread.join(_END_SECONDS)
 
     def _serve(self) -> None:
@@ -310,6 +320,8 @@ class Reception:
         if self._is_woken and not self._is_closed:
             self._is_woken = False
             self._guard.set(False)
+        while self._asked:
+            self._asked.popleft()()
         for source in self._sources:
             if not source.is_busy:
                 self._take(source)

@@ -22,6 +22,7 @@ from robot_runner.core.links.robot import Encoding, Qos
 from robot_runner.ros.dds_graph import LINK_QOS, Endpoint, Graph, ros_type
 from robot_runner.ros.dds_qos import reader_profile, writer_profile
 from robot_runner.ros.dds_reception import RawSample, Reception, WireType, delete, topic_wire_type
+from robot_runner.ros.graph_transport import Lane
 from robot_runner.ros.type_catalogue import TypeCatalogue
 
 if TYPE_CHECKING:
@@ -171,6 +172,7 @@ class Session:
         self._tellers: Callable[[], set[UUID]] = set
         self.own(self._participant)
         self.reception = Reception(self._participant)
+        self._receptions: dict[Lane, Reception] = {}
         self.graph = Graph(self._participant, self.reception)
         with ExitStack() as undoing:
             undoing.callback(self.close)
@@ -191,6 +193,19 @@ class Session:
         """Count a participant as one of this link's own."""
         self._own.add(participant.guid)
         _ours.add(participant.guid)
+
+    def reception_of(self, lane: Lane) -> Reception:
+        """Return what serves the topics of a lane, in a thread of its own: services and the graph wait for none."""
+        with self._lock:
+            if lane not in self._receptions:
+                self._receptions[lane] = Reception(self._participant)
+                self._receptions[lane].start()
+            return self._receptions[lane]
+
+    def wait_event(self, event: threading.Event, timeout: float) -> None:
+        """Wait for an event; in a callback, what arrives meanwhile in its lane is received within it."""
+        serving = [each for each in self._receptions.values() if each.is_served_here]
+        (serving or [self.reception])[0].wait_event(event, timeout)
 
     def type_hash(self, name: str) -> str:
         """Return the user data with a type's hash; empty for distributions that have none."""
@@ -239,6 +254,8 @@ class Session:
             return
         self.is_closed = True
         self.reception.close()
+        for lane in list(self._receptions.values()):
+            lane.close()
         delete(self._participant)
 
     def _topic(self, name: str, wire_type: WireType) -> Topic[Any]:

@@ -21,11 +21,13 @@ from robot_runner.ros.dds_services import OfferedService, ServiceClient, await_s
 from robot_runner.ros.dds_session import Session
 from robot_runner.ros.graph_transport import (
     LONGEST_DISCOVERY,
+    Lane,
     ReceivedBytes,
     Reception,
     check_type,
     service_timeout,
 )
+from robot_runner.ros.qos_policies import reachable, unmet_demand
 from robot_runner.ros.ros2_actions import Ros2Actions
 
 if TYPE_CHECKING:
@@ -67,17 +69,24 @@ class DdsTransport:
         return _Publisher(self._session, topic, message_type, qos)
 
     def subscribe(
-        self, topic: str, message_type: str, receive: Callable[[Reception], None], *, qos: Qos | None, is_raw: bool
+        self,
+        topic: str,
+        message_type: str,
+        receive: Callable[[Reception], None],
+        *,
+        qos: Qos | None,
+        is_raw: bool,
+        is_of_goal: bool = False,
     ) -> _Subscription:
-        """Have `receive` called with each message, in the session's thread."""
-        del is_raw
+        """Have `receive` called with each message, in the session's thread for its lane."""
         decode = partial(self.types.deserialise, message_type, encoding=Encoding.CDR)
 
         def take(data: bytes) -> None:
             misfit = subscription.misfit
             receive(_Misread(misfit) if misfit else ReceivedBytes(data, self._now_ns(), decode))
 
-        subscription = _Subscription(self._session, topic, message_type, take, qos)
+        lane = Lane.of(is_raw=is_raw, is_of_goal=is_of_goal)
+        subscription = _Subscription(self._session, topic, message_type, take, qos, lane)
         # Under one lock: a publisher that is discovered meanwhile is adapted to either here or in `_adapt`.
         with self._lock:
             subscription.open()
@@ -141,7 +150,7 @@ class DdsTransport:
 
     def wait(self, event: threading.Event, seconds: float) -> None:
         """Wait for an event; in a callback, what arrives meanwhile is received within it."""
-        self._session.reception.wait_event(event, seconds)
+        self._session.wait_event(event, seconds)
 
     def close(self) -> None:
         """Leave the graph."""
@@ -164,13 +173,14 @@ class _Publisher:
         self._wire = wire_topic(topic)
         self._user_data = session.type_hash(message_type)
         _check_types(session, topic, self._wire_type, self._user_data)
+        self._qos = qos
         self._offered = writer_profile(qos, self._user_data)
         self._writer = session.writer(self._wire, self._wire_type, self._offered)
         # A message that is published before its readers are discovered does not reach them.
         session.settle(lambda: bool(matched_subscriptions(self._writer)))
         try:
             _check_types(session, topic, self._wire_type, self._user_data)
-            self._check_demands(qos)
+            self._check_demands()
         except LinkError:
             self.close()
             raise
@@ -188,8 +198,9 @@ class _Publisher:
 
     def reach(self) -> bool:
         graph, offered = self._session.graph, policies_of(self._offered)
-        reachable = sum(policies_of(each.qos).shortfall(offered) is None for each in graph.readers(self._wire))
-        is_matched = graph.wait_for(lambda: len(matched_subscriptions(self._writer)) >= reachable, _MATCHING_SECONDS)
+        wanted = reachable([policies_of(each.qos) for each in graph.readers(self._wire)], offered)
+        is_matched = graph.wait_for(lambda: len(matched_subscriptions(self._writer)) >= wanted, _MATCHING_SECONDS)
+        self._check_demands()
         # A reader that is cut off stays matched for seconds, and receives nothing of what is published.
         # Once it counts as gone, nobody is left who has to acknowledge anything.
         matched = set(matched_subscriptions(self._writer))
@@ -218,27 +229,33 @@ class _Publisher:
         self._session.nodes.remove(self._writer.guid)
         delete(self._writer)
 
-    def _check_demands(self, qos: Qos) -> None:
-        """Refuse a QoS with which no subscriber receives anything, as all request more."""
-        if matched_subscriptions(self._writer):
-            return
-        for reader in self._session.graph.readers(self._wire):
-            less = policies_of(reader.qos).shortfall(policies_of(self._offered))
-            if less is not None:
-                raise LinkError(
-                    f"a subscriber asks for more than the QoS {str(qos)!r} offers: {less}",
-                    where=self._topic,
-                    fix="Publish with the QoS 'reliable' or 'transient_local'.",
-                )
+    def _check_demands(self) -> None:
+        """Refuse a QoS with which no subscriber but our own receives anything, as all request more and do not adapt."""
+        graph, own = self._session.graph, self._session.guid
+
+        def unmet() -> LinkError | None:
+            others = [policies_of(each.qos) for each in graph.readers(self._wire) if each.participant != own]
+            return unmet_demand(self._topic, self._qos, others)
+
+        error = unmet()
+        if error is not None and not graph.wait_for(lambda: unmet() is None, _MATCHING_SECONDS):
+            raise error
 
 
 class _Subscription:
     """Receives one topic as bytes; adapts to the topic's publishers where no profile is requested."""
 
     def __init__(
-        self, session: Session, topic: str, message_type: str, take: Callable[[bytes], None], qos: Qos | None
+        self,
+        session: Session,
+        topic: str,
+        message_type: str,
+        take: Callable[[bytes], None],
+        qos: Qos | None,
+        lane: Lane,
     ) -> None:
         self._session = session
+        self._reception = session.reception_of(lane)
         self._topic = topic
         self._wire_topic = wire_topic(topic)
         self._take = take
@@ -259,7 +276,7 @@ class _Subscription:
     def open(self) -> None:
         self._asked = self._policies()
         self._source = self._reading()
-        self._session.reception.serve(self._source)
+        self._reception.serve(self._source)
 
     @property
     def is_open(self) -> bool:
@@ -281,7 +298,7 @@ class _Subscription:
             self.misfit = self.misfit or _other_version(self._topic, self._wire_type, writer, self._user_data)
         if self._qos is None and writer.topic == self._wire_topic:
             # Not while its callback waits: messages that have arrived would be lost, or handled out of order.
-            self._session.reception.when_idle(self._source, self._adapt)
+            self._reception.when_idle(self._source, self._adapt)
 
     def close(self) -> None:
         with self._lock:
@@ -301,13 +318,13 @@ class _Subscription:
             return
         self._asked = asked
         former, fresh = self._source, self._reading()
-        self._session.reception.drain(former)
+        self._reception.drain(former)
         # While a callback waited, another thread may have closed this, or it may have adapted once more.
         with self._lock:
             takes_over = not self._is_closed and self._source is former
             if takes_over:
                 self._source, self._before = fresh, dict(self._last)
-                self._session.reception.serve(fresh)  # only now is it known what both have received
+                self._reception.serve(fresh)  # only now is it known what both have received
         self._end(former if takes_over else fresh)
 
     def _check_offers(self) -> None:
@@ -326,7 +343,7 @@ class _Subscription:
 
     def _end(self, source: Any) -> None:
         self._session.nodes.remove(source.reader.guid)
-        self._session.reception.remove(source)
+        self._reception.remove(source)
 
     def _receive(self, sample: RawSample) -> None:
         info = sample.sample_info

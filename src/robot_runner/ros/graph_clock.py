@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import struct
 import threading
 import time
 from collections.abc import Sequence
 from contextlib import suppress
 
 from robot_runner.core.errors import LinkError
-from robot_runner.core.links.robot import GraphEndpoint, Message, RobotLink
+from robot_runner.core.links.robot import Encoding, GraphEndpoint, RawMessage, RobotLink
 from robot_runner.core.words import enumerated
 
 _TOPIC = "/clock"
@@ -52,7 +53,8 @@ class GraphClock:
         self._went_back, self._went_back_at, self._has_regained = 0.0, 0.0, False
         self._is_known = False
         self._are_several = False
-        self._subscription = link.subscribe(_TOPIC, _TYPE, self._take)
+        # As bytes: those wait for no callback of the config, during which the run's time would stand still.
+        self._subscription = link.subscribe_raw(_TOPIC, _TYPE, self._take)
 
     def start(self) -> None:
         """Return once the clock shows the graph's time.
@@ -99,9 +101,9 @@ class GraphClock:
         """End the subscription; the clock keeps its last time."""
         self._subscription.close()
 
-    def _take(self, message: Message) -> None:
-        stamp = message["clock"]
-        shown = stamp["sec"] + stamp["nanosec"] / 1e9
+    def _take(self, message: RawMessage) -> None:
+        seconds, nanoseconds = _stamp_in(message.data, self._link.encoding)
+        shown = seconds + nanoseconds / 1e9
         with self._changed:
             step = shown - self._shown
             regains = step > self._went_back * _REGAINED and self._went_back > 0
@@ -132,3 +134,13 @@ class GraphClock:
         who = enumerated(sorted(map(str, tellers))) if len(tellers) > 1 else "more than one node"
         problem = f"{who} tell the graph's time: it goes back and forth by {step:.3f} s"
         return LinkError(problem, where=_TOPIC, fix="End all but one of them.")
+
+
+def _stamp_in(data: bytes, encoding: Encoding) -> tuple[int, int]:
+    """Return s and ns of a rosgraph_msgs/Clock; CDR begins with four bytes, of which the second has the byte order."""
+    if encoding is Encoding.ROS1:
+        layout, begin = "<II", 0
+    else:
+        layout, begin = "<iI" if data[1] & 1 else ">iI", 4
+    seconds, nanoseconds = struct.unpack_from(layout, data, begin)
+    return seconds, nanoseconds

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
+from enum import Enum
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 from robot_runner.core.errors import LinkError, nearest
@@ -37,6 +38,19 @@ class GraphTypes(Protocol):
 
     def definition(self, message_type: str) -> str:
         """Return the text of a type's definition, followed by those of the types of its fields."""
+
+
+class Lane(Enum):
+    """Who is called for what was received; no lane waits for another one, and each keeps the order of messages."""
+
+    CALLBACKS = "callbacks"
+    BYTES = "bytes"
+    GOALS = "goals"
+
+    @classmethod
+    def of(cls, *, is_raw: bool, is_of_goal: bool) -> Lane:
+        """Return the lane of a subscription."""
+        return cls.GOALS if is_of_goal else cls.BYTES if is_raw else cls.CALLBACKS
 
 
 class Reception(Protocol):
@@ -81,7 +95,10 @@ class TopicPublisher(Protocol):
     def reach(self) -> bool:
         """Wait until the existing subscribers are connected; return False if they are not in time.
 
-        A subscriber whose QoS requests more than this publisher offers is not counted.
+        A subscriber whose QoS requests more than this publisher offers is not counted where others are connected.
+
+        Raises:
+            LinkError: no subscriber is connected, as one requests more.
         """
 
     def is_heard(self) -> bool:
@@ -148,9 +165,19 @@ class Transport(Protocol):
         """Return a publisher, once the existing subscribers are connected."""
 
     def subscribe(
-        self, topic: str, message_type: str, receive: Callable[[Reception], None], *, qos: Qos | None, is_raw: bool
+        self,
+        topic: str,
+        message_type: str,
+        receive: Callable[[Reception], None],
+        *,
+        qos: Qos | None,
+        is_raw: bool,
+        is_of_goal: bool = False,
     ) -> TopicSubscription:
-        """Call `receive` with each message; `is_raw` says which form will be asked for."""
+        """Call `receive` with each message; `is_raw` says which form will be asked for.
+
+        What is measured or recorded as bytes, and what is told of a goal (`is_of_goal`), does not wait for callbacks.
+        """
 
     def call(self, service: str, service_type: str, request: Message, timeout: float) -> Message:
         """Call a service and return its response; `timeout` is in seconds."""

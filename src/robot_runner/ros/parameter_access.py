@@ -51,7 +51,7 @@ class ParameterAccess(Protocol):
         """Return errors for values that are known not to be accepted; nothing is set."""
 
     def change(self, node: str, values: Mapping[str, Any]) -> None:
-        """Set parameters of a node; None removes a value.
+        """Set parameters of a node; None removes a value, in ROS 2 with the parameter itself.
 
         Raises:
             LinkError: one is read-only, of another kind or out of its limits, and nothing is set; or the node refuses
@@ -183,7 +183,8 @@ class NodeParameters:
 
     def _odd(self, node: str, told: int, asked: int) -> LinkError:
         problem = f"the node answers for {told} parameters where {asked} were asked for"
-        return LinkError(problem, where=self._full(node), fix="Look at the node's log.")
+        fix = "Look at the node's log. One that was declared without a value has to get one where the node is started."
+        return LinkError(problem, where=self._full(node), fix=fix)
 
     def _refused(self, node: str, name: str, reason: str) -> LinkError:
         told = reason or "it gives no reason"

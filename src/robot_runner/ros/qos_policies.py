@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Iterable, Mapping, Sequence
 from types import MappingProxyType
 from typing import NamedTuple
 
+from robot_runner.core.errors import LinkError
 from robot_runner.core.links.robot import Qos
 
 #: The depth of each profile: how many messages are queued for a slow subscriber; 0 for no limit (rmw/qos_profiles.h).
@@ -23,11 +25,17 @@ class Policies(NamedTuple):
         is_reliable: whether lost messages are sent again.
         is_kept: whether later subscribers get the last messages (durability).
         depth: how many messages are queued; 0 for no limit.
+        deadline: how far apart messages may be, s.
+        lease: for how long a publisher that is not heard of counts as alive, s.
+        is_manual: whether each publisher has to say by itself that it is alive.
     """
 
     is_reliable: bool
     is_kept: bool
     depth: int = KEPT
+    deadline: float = math.inf
+    lease: float = math.inf
+    is_manual: bool = False
 
     @property
     def profile(self) -> Qos:
@@ -54,6 +62,10 @@ class Policies(NamedTuple):
             return "reliability: it is published best effort, and subscribed reliable"
         if self.is_kept and not offered.is_kept:
             return "durability: it is published volatile, and subscribed transient local"
+        if self.deadline < offered.deadline:
+            return f"deadline: messages are to be at most {self.deadline:g} s apart, which is not promised"
+        if self.lease < offered.lease or self.is_manual > offered.is_manual:
+            return "liveliness: the publisher is to keep telling that it is alive, which is not promised"
         return None
 
 
@@ -70,6 +82,27 @@ def asked_by(qos: Qos) -> Policies:
     """Return the policies that a subscription with this profile requests."""
     # A transient local subscription gets the last message of each publisher: its depth must be enough for all of them.
     return offered_by(qos)._replace(depth=KEPT) if qos is Qos.TRANSIENT_LOCAL else offered_by(qos)
+
+
+def reachable(demands: Iterable[Policies], offered: Policies) -> int:
+    """Return how many subscribers a publisher is to reach: tools that ask for more reliability are passed over.
+
+    One that asks for a deadline or for liveliness is most likely the robot, which must not be.
+    """
+    plain = (each._replace(deadline=math.inf, lease=math.inf, is_manual=False) for each in demands)
+    return sum(each.shortfall(offered) is None for each in plain)
+
+
+def unmet_demand(topic: str, qos: Qos, demands: Iterable[Policies]) -> LinkError | None:
+    """Return the error that all subscribers demand more than a publisher with this profile offers, if they do."""
+    unmet = [demand.shortfall(offered_by(qos)) for demand in demands]
+    first = unmet[0] if unmet else None
+    if first is None or not all(unmet):
+        return None
+    fix = "Have its node ask for less."
+    if first.startswith(("reliability", "durability")):
+        fix = "Publish with the QoS 'reliable' or 'transient_local', or have its node ask for less."
+    return LinkError(f"a subscriber asks for more than the QoS {str(qos)!r} offers: {first}", where=topic, fix=fix)
 
 
 def adapted(offers: Sequence[Policies], *, alone: bool) -> Policies:

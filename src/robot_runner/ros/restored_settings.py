@@ -11,14 +11,14 @@ from typing import Any, ClassVar
 from robot_runner.core.errors import Finding, LinkError
 from robot_runner.core.events.context import RobotRunnerContext
 from robot_runner.core.links.connect import connect_robot, is_simulated
-from robot_runner.core.links.robot import RobotLink
+from robot_runner.core.links.robot import Encoding, RobotLink
 from robot_runner.core.plugin import Circumstances, Plugin, System
 from robot_runner.core.words import enumerated
 from robot_runner.ros.kept_settings import KeptSettings, Settings, left_settings
 from robot_runner.ros.link_faults import as_link_error
 from robot_runner.ros.node_services import NodeNotReadyError, full_node
 from robot_runner.ros.parameter_access import all_at_once
-from robot_runner.ros.parameter_values import ParameterValue, same_value, to_json
+from robot_runner.ros.parameter_values import ParameterValue, kind_of, same_value, to_json
 from robot_runner.ros.robot_system import OfTheRobot, check_numbers
 
 _log = logging.getLogger(__name__)
@@ -28,6 +28,7 @@ _LOOK = 0.1
 #: The plugin that restores each kind of settings, by name: an experiment without it does not import it.
 PUT_BACK_BY = MappingProxyType({"parameters": "RosParameters", "states": "Lifecycle"})
 _BY_HAND = "Set it by hand, or restart the node."
+_RESTART = "Restart the node where that matters: ROS 2 takes a value away with its parameter alone."
 
 
 class RestoredSettings(OfTheRobot, System):
@@ -71,6 +72,11 @@ class RestoredSettings(OfTheRobot, System):
     def write(self, link: RobotLink, node: str, values: Mapping[str, ParameterValue]) -> None:
         """Set values of a node; raise a `LinkError` where it does not accept them."""
         raise NotImplementedError
+
+    def known(self, link: RobotLink, node: str, names: Sequence[str]) -> Sequence[str]:
+        """Return which of these settings the node still has; all, if not overridden."""
+        del link, node
+        return names
 
     def doubts(self, link: RobotLink, settings: Settings) -> Iterable[tuple[str, str]]:
         """Yield reasons why the settings may have no effect, each with a fix; none, if not overridden."""
@@ -148,7 +154,11 @@ class RestoredSettings(OfTheRobot, System):
 
     def _put_back_left(self, context: RobotRunnerContext, link: RobotLink) -> None:
         for kept in left_settings(self.kind, context.robot):
-            problems = list(self._restore(link, kept, None))
+            try:
+                problems = list(self._restore(link, kept, None))
+            except LinkError as error:
+                problem, fix = f"{_left(kept)}: {error}", f"Put it back by hand, and remove {kept.path}."
+                raise LinkError(problem, where=self.name, fix=fix) from error
             kept.remove()
             context.warn(f"{_left(kept)}; that was done before this run", fix="Check how that run ended.")
             for problem, fix in problems:
@@ -181,23 +191,27 @@ class RestoredSettings(OfTheRobot, System):
         before: Mapping[str, ParameterValue],
         context: RobotRunnerContext | None,
     ) -> Iterator[tuple[str, str]]:
-        now, wanted = self.read(link, node, list(before)), kept.wanted[node]
-        odd = {name: value for name, value in now.items() if not _is_among(value, before[name], wanted[name])}
+        wanted, there = kept.wanted[node], self.known(link, node, list(before))
+        now = self.read(link, node, there) if there else {}
+        gone = [name for name in before if name not in there]
+        odd = [name for name in there if not _is_among(now[name], before[name], wanted[name])]
         if context is not None:
             self._note(context, "after", {node: now})
-            for name, value in now.items():
-                if self._is_set and not same_value(value, wanted[name]):
-                    problem = f"{name} of {node} was set to {wanted[name]!r}, and is {value!r} after the mission"
-                    context.broker.doubt_run(context.owner, problem, "Find out what else sets it.")
+            self._doubt_changed(context, node, wanted, now)
+            left = []
         else:
-            for name, value in odd.items():
-                problem = f"{name} of {node} is {value!r} and not {wanted[name]!r}, as a run set it that died"
+            for name in odd:
+                problem = f"{name} of {node} is {now[name]!r} and not {wanted[name]!r}, as a run set it that died"
                 yield f"{problem}: it is left so", _BY_HAND
-        left = odd if context is None else {}
-        names = [
-            name for name in reversed(list(before)) if name not in left and not same_value(now[name], before[name])
-        ]
-        back = {name: before[name] for name in names}
+            left = odd
+        for name in gone if context is None or not self._is_set else ():
+            yield f"{name} of {node} is not there any more, so that it is not put back", "Nothing, if it was to go."
+        names = [each for each in reversed(there) if each not in left and not _is_unchanged(now[each], before[each])]
+        # A node of ROS 2 would undeclare the parameter.
+        kept_on = [name for name in names if before[name] is None and link.encoding is Encoding.CDR]
+        for name in kept_on:
+            yield f"{name} of {node} had no value before the run, and keeps {now[name]!r}", _RESTART
+        back = {name: before[name] for name in names if name not in kept_on}
         if back:
             self.write(link, node, back)
             found = self.read(link, node, list(back))
@@ -205,6 +219,20 @@ class RestoredSettings(OfTheRobot, System):
                 self._note(context, "restored", {node: found})
             for _, name, was, found_value in _differences({node: back}, {node: found}):
                 yield f"{name} of {node} was {was!r} before the run, and is {found_value!r} now", _BY_HAND
+
+    def _doubt_changed(
+        self,
+        context: RobotRunnerContext,
+        node: str,
+        wanted: Mapping[str, ParameterValue],
+        now: Mapping[str, ParameterValue],
+    ) -> None:
+        """Doubt the run where its settings were not in force to the end."""
+        for name, value in wanted.items() if self._is_set else ():
+            found = f"is {now[name]!r}" if name in now else "is not there"
+            if name not in now or not same_value(now[name], value):
+                problem = f"{name} of {node} was set to {value!r}, and {found} after the mission"
+                context.broker.doubt_run(context.owner, problem, "Find out what else sets it.")
 
     def _awaited(self, context: RobotRunnerContext, link: RobotLink, wanted: Settings) -> Settings:
         """Return the values before the run, as soon as the nodes are there."""
@@ -258,6 +286,10 @@ def _left(kept: KeptSettings) -> str:
 
 def _is_among(value: ParameterValue, *others: ParameterValue) -> bool:
     return any(same_value(value, other) for other in others)
+
+
+def _is_unchanged(now: ParameterValue, before: ParameterValue) -> bool:
+    return same_value(now, before) and kind_of(now) is kind_of(before)
 
 
 def _differences(wanted: Settings, found: Settings) -> Iterator[tuple[str, str, ParameterValue, ParameterValue]]:

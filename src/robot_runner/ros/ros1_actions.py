@@ -138,7 +138,9 @@ class _Client:
                 (_FEEDBACK, f"{action_type}ActionFeedback", self._take_feedback),
                 (_STATUS, _STATUS_TYPE, self._take_status),
             ):
-                self._open.callback(transport.subscribe(action + name, kind, take, qos=None, is_raw=False).close)
+                self._open.callback(
+                    transport.subscribe(action + name, kind, take, qos=None, is_raw=False, is_of_goal=True).close
+                )
             self._send = _advertised(self._open, transport, action + _GOAL, f"{action_type}{_GOAL_ENDING}")
             self._cancel = _advertised(self._open, transport, action + _CANCEL, GOAL_ID_TYPE)
         except Exception:
@@ -286,7 +288,9 @@ class _Served:
             (_GOAL, f"{action_type}{_GOAL_ENDING}", self._take_goal),
             (_CANCEL, GOAL_ID_TYPE, self._take_cancel),
         ):
-            self._open.callback(transport.subscribe(action + name, kind, take, qos=None, is_raw=False).close)
+            self._open.callback(
+                transport.subscribe(action + name, kind, take, qos=None, is_raw=False, is_of_goal=True).close
+            )
         self._status = _advertised(self._open, transport, action + _STATUS, _STATUS_TYPE)
 
     def close(self) -> None:

@@ -67,16 +67,26 @@ class Ros1Transport:
         return Publisher(self._rospy, topic, message_class(message_type), qos, partial(self.subscribers, topic))
 
     def subscribe(
-        self, topic: str, message_type: str, receive: Callable[[Reception], None], *, qos: Qos | None, is_raw: bool
+        self,
+        topic: str,
+        message_type: str,
+        receive: Callable[[Reception], None],
+        *,
+        qos: Qos | None,
+        is_raw: bool,
+        is_of_goal: bool = False,
     ) -> _Subscription:
         """Call `receive` with each message, in a thread of rospy; in ROS 1 only publishers choose a QoS.
 
-        It returns once the publishers that are there already are connected: what they publish next is received.
+        It returns once the publishers that are there already are connected: what they publish next is received. Who
+        takes bytes, to measure or record them, gets each message before the other callbacks, which may take long.
         """
-        del qos, is_raw
+        del qos, is_of_goal  # each topic has a thread for each of its publishers
         self._check_type(topic, message_type, publishers_only=True)
         publishers = [each.node for each in self.publishers(topic)]
         subscription = _Subscription(self, topic, message_class(message_type), receive)
+        if is_raw:
+            subscription.come_first()
         try:
             subscription.connect(publishers)
         except BaseException:  # the run ends now
@@ -285,6 +295,12 @@ class _Subscription:
         _until(lambda: self._subscriber.get_num_connections() >= len(publishers), CONNECTING)
         # Our side is connected; a publisher begins to send a little later, and not every one reports that.
         _until(lambda: self._transport.is_served(self._topic, publishers), _TELLING_SECONDS)
+
+    def come_first(self) -> None:
+        """Get each message before the other subscriptions of the topic: rospy calls all of them one after the other."""
+        topic = self._subscriber.impl
+        with topic.c_lock:
+            topic.callbacks = sorted(topic.callbacks, key=lambda each: each[0] != self._take)
 
     def explain(self) -> str:
         return self._transport.explain_silence(self._topic)

@@ -106,10 +106,15 @@ class _Client:
         self._fetched: set[str] = set()
         self._lock = threading.Lock()
         self._status = transport.subscribe(
-            action + STATUS_TOPIC, STATUS_TYPE, self._take_status, qos=None, is_raw=False
+            action + STATUS_TOPIC, STATUS_TYPE, self._take_status, qos=None, is_raw=False, is_of_goal=True
         )
         self._feedback = transport.subscribe(
-            action + _FEEDBACK, f"{action_type}_FeedbackMessage", self._take_feedback, qos=None, is_raw=False
+            action + _FEEDBACK,
+            f"{action_type}_FeedbackMessage",
+            self._take_feedback,
+            qos=None,
+            is_raw=False,
+            is_of_goal=True,
         )
 
     def send(self, goal: Message, sent: SentGoal, timeout: float) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 import os
 import queue
 import threading
@@ -14,11 +15,12 @@ from rclpy.context import Context
 from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
+from rclpy.qos import DurabilityPolicy, LivelinessPolicy, ReliabilityPolicy
 
 from robot_runner.core.errors import LinkError
 from robot_runner.core.events.early_end import raised_in_thread
 from robot_runner.core.links.robot import GraphEndpoint
+from robot_runner.ros.graph_transport import Lane
 from robot_runner.ros.qos_policies import Policies
 from robot_runner.ros.shapes import plain_type
 
@@ -35,6 +37,11 @@ _JOIN = 5.0
 _ANSWERING = 32
 #: How often the graph is polled while waiting for something, s.
 _POLL = 0.02
+
+#: How much may wait for the callbacks of a lane, messages and bytes.
+_MOST_WAITING, _MOST_WAITING_BYTES = 20_000, 1 << 30
+#: Durations that the middleware means by infinite begin below this, ns: Fast DDS' has 2^31 - 1 s.
+_FOR_EVER_NS = (2**31 - 1) * 10**9
 
 _lock = threading.Lock()
 _shared: dict[tuple[int, int | None, bool], GraphNode] = {}
@@ -60,8 +67,9 @@ class GraphNode:
 
     The node is made once something is opened on it: a process that only looks at the graph, or is a standby, has only a
     hidden node, whose name begins with an underscore. Callbacks are executed in a thread that does not spin, so that
-    they may call services. Offered services have a node of their own, with an executor of several threads: a slow
-    service must delay neither messages and responses nor other services.
+    they may call services; there is one for each lane, so that no callback delays what is measured, or the end of a
+    goal. Offered services have a node of their own, with an executor of several threads: a slow service
+    must delay neither messages and responses nor other services.
 
     Attributes:
         users: how many links use it.
@@ -76,7 +84,6 @@ class GraphNode:
         self._spinning: list[_Spinning] = []
         self._node: Any = None
         self._services: Any = None
-        self._todo: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
         try:
             # Without the arguments of our command line, which are not for ROS, and without ROS' signal handlers.
             self._context.init(args=[], initialize_logging=False, domain_id=domain)
@@ -89,8 +96,7 @@ class GraphNode:
                 fix="Look at ROS_DOMAIN_ID and RMW_IMPLEMENTATION, and whether the network is up.",
             ) from error
         self._joined = time.monotonic()
-        self._caller = threading.Thread(target=self._call_back, name="ros2 callbacks", daemon=True)
-        self._caller.start()
+        self._callers = {lane: _Caller() for lane in Lane}
 
     @property
     def node(self) -> Any:
@@ -112,9 +118,12 @@ class GraphNode:
                 self._services = self._spun("robot_runner_services", threads=_ANSWERING)
             return self._services
 
-    def later(self, todo: Callable[[], None]) -> None:
-        """Queue a function for the thread that executes callbacks."""
-        self._todo.put(todo)
+    def later(self, todo: Callable[[], None], lane: Lane = Lane.CALLBACKS, *, size: int = 0) -> None:
+        """Queue a function, for a message of `size` bytes, for the thread that executes the callbacks of a lane.
+
+        Where more waits than the memory is to hold, the run fails, as dropping messages would falsify its results.
+        """
+        self._callers[lane].put(todo, size)
 
     def until(self, claim: Callable[[], object], seconds: float) -> bool:
         """Wait at most `seconds` until something holds on the graph; return whether it does."""
@@ -136,9 +145,8 @@ class GraphNode:
             if self.users > 0:
                 return
             self._forget()
-        self._todo.put(None)
-        if threading.current_thread() is not self._caller:
-            self._caller.join(_JOIN)
+        for caller in self._callers.values():
+            caller.end()
         for spinning in self._spinning:
             spinning.end()
         self.hidden.destroy_node()
@@ -159,8 +167,49 @@ class GraphNode:
             parameter_overrides=[Parameter("use_sim_time", Parameter.Type.BOOL, use_sim_time)],
         )
 
+
+class _Caller:
+    """A thread that executes callbacks, one after the other."""
+
+    def __init__(self) -> None:
+        self._todo: queue.SimpleQueue[tuple[Callable[[], None] | None, int]] = queue.SimpleQueue()
+        self._lock = threading.Lock()
+        self._waiting_bytes = 0
+        self._is_overrun = False
+        self._thread = threading.Thread(target=self._call_back, name="ros2 callbacks", daemon=True)
+        self._thread.start()
+
+    def put(self, todo: Callable[[], None], size: int) -> None:
+        """Queue a function; where too much waits, it is dropped, and the run fails once."""
+        with self._lock:
+            count, waiting = self._todo.qsize(), self._waiting_bytes + size
+            if fits := count < _MOST_WAITING and waiting <= _MOST_WAITING_BYTES:
+                self._waiting_bytes = waiting
+        if fits:
+            self._todo.put((todo, size))
+        elif not self._is_overrun:
+            self._is_overrun = True
+            error = LinkError(
+                f"callbacks are too slow: {count:,} messages of {waiting >> 20:,} MiB wait for them",
+                where="ros2",
+                fix="Have them return sooner, or do their work after the mission, on a bag of it (RosBag).",
+            )
+            if not raised_in_thread(error, "a callback of ROS 2"):
+                _logger.error("%s; what comes now is dropped", error)
+
+    def end(self) -> None:
+        """Execute what is queued, and end; called in a callback, this does not wait."""
+        self._todo.put((None, 0))
+        if threading.current_thread() is not self._thread:
+            self._thread.join(_JOIN)
+
     def _call_back(self) -> None:
-        while (todo := self._todo.get()) is not None:
+        while True:
+            todo, size = self._todo.get()
+            if todo is None:
+                return
+            with self._lock:
+                self._waiting_bytes -= size
             try:
                 todo()
             except Exception as error:
@@ -267,4 +316,12 @@ def policies_of(profile: Any) -> Policies:
     return Policies(
         is_reliable=profile.reliability != ReliabilityPolicy.BEST_EFFORT,
         is_kept=profile.durability == DurabilityPolicy.TRANSIENT_LOCAL,
+        deadline=_seconds(profile.deadline),
+        lease=_seconds(profile.liveliness_lease_duration),
+        is_manual=profile.liveliness == LivelinessPolicy.MANUAL_BY_TOPIC,
     )
+
+
+def _seconds(duration: Any) -> float:
+    """Return a duration in s; what is 0 or about as long as can be means none."""
+    return duration.nanoseconds / 1e9 if 0 < duration.nanoseconds < _FOR_EVER_NS else math.inf

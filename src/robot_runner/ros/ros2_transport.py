@@ -20,6 +20,7 @@ from robot_runner.core.links.robot import Encoding, GraphEndpoint, Message, Qos
 from robot_runner.ros.action_types import is_action_part
 from robot_runner.ros.graph_transport import (
     LONGEST_DISCOVERY,
+    Lane,
     ReceivedBytes,
     Reception,
     already_offered,
@@ -30,7 +31,7 @@ from robot_runner.ros.graph_transport import (
     silent_publishers,
     wrong_service_type,
 )
-from robot_runner.ros.qos_policies import WEAKEST, Policies, adapted, asked_by, offered_by
+from robot_runner.ros.qos_policies import WEAKEST, Policies, adapted, asked_by, offered_by, reachable, unmet_demand
 from robot_runner.ros.ros2_actions import Ros2Actions
 from robot_runner.ros.ros2_node import SETTLING, Graph, GraphNode, join_graph, policies_of
 from robot_runner.ros.ros2_types import Ros2Types, as_mapping, as_message, message_class, service_class
@@ -86,18 +87,24 @@ class Ros2Transport:
         return _Publisher(self._node, self._graph, topic, message_type, qos)
 
     def subscribe(
-        self, topic: str, message_type: str, receive: Callable[[Reception], None], *, qos: Qos | None, is_raw: bool
+        self,
+        topic: str,
+        message_type: str,
+        receive: Callable[[Reception], None],
+        *,
+        qos: Qos | None,
+        is_raw: bool,
+        is_of_goal: bool = False,
     ) -> _Subscription:
-        """Call `receive` with each message, in the node's thread for callbacks."""
-        del is_raw
-        cls = message_class(message_type)
+        """Call `receive` with each message, in the node's thread for its lane."""
+        cls, lane = message_class(message_type), Lane.of(is_raw=is_raw, is_of_goal=is_of_goal)
 
         def decode(data: bytes) -> Message:
             return as_mapping(deserialize_message(data, cls))
 
         def take(data: bytes) -> None:
             reception = ReceivedBytes(bytes(data), self._now_ns(), decode)
-            self._node.later(lambda: receive(reception))
+            self._node.later(lambda: receive(reception), lane, size=len(reception.data))
 
         return _Subscription(self._node, self._graph, topic, message_type, take, qos)
 
@@ -152,27 +159,36 @@ class _Publisher:
         is_awaited = qos is not Qos.TRANSIENT_LOCAL and not is_hidden(topic)
         node.settle(lambda: graph.subscriptions(topic), _FINDING if is_awaited else SETTLING)
         _check_types(topic, message_type, [*graph.publishers(topic), *graph.subscriptions(topic)])
-        self._offered = offered_by(qos)
+        self._qos, self._offered = qos, offered_by(qos)
         self._publisher = node.node.create_publisher(self._cls, topic, _as_profile(self._offered))
         try:
             _check_version(node, graph, topic, message_type)
+            self.reach()
         except LinkError:
             self.close()
             raise
-        self.reach()
 
     def publish(self, message: Message) -> None:
         self._publisher.publish(as_message(self._cls, message))
 
     def reach(self) -> bool:
-        asked = [policies_of(each.qos_profile) for each in self._graph.subscriptions(self._topic)]
-        reachable = sum(each.shortfall(self._offered) is None for each in asked)
-        is_matched = self._node.until(lambda: self._publisher.get_subscription_count() >= reachable, _MATCHING)
+        wanted = reachable(self._demands(), self._offered)
+        is_matched = self._node.until(lambda: self._publisher.get_subscription_count() >= wanted, _MATCHING)
+        unmet = self._unmet()
+        if unmet is not None and not self._node.until(lambda: self._unmet() is None, _MATCHING):  # some adapt
+            raise unmet
         # A subscriber that is cut off stays matched for seconds, and acknowledges nothing.
         # Once it counts as gone, no acknowledgement is missing any more.
         matched = self._publisher.get_subscription_count()
         is_taken = is_matched and self._is_taken(_ACKNOWLEDGING) is not False
         return is_taken and self._publisher.get_subscription_count() >= matched
+
+    def _demands(self, *, but_of: str | None = None) -> list[Policies]:
+        there = self._graph.subscriptions(self._topic)
+        return [policies_of(each.qos_profile) for each in there if _owner(each) != but_of]
+
+    def _unmet(self) -> LinkError | None:
+        return unmet_demand(self._topic, self._qos, self._demands(but_of=self._node.own_name))
 
     def is_heard(self) -> bool:
         return bool(self._publisher.get_subscription_count())

@@ -68,6 +68,12 @@ class RosParameters(RestoredSettings):
         """Return the values of parameters."""
         return parameters_of(link, timeout=self.timeout).values(node, names)
 
+    def known(self, link: RobotLink, node: str, names: Sequence[str]) -> Sequence[str]:
+        """Return which of these parameters the node still has; the server of ROS 1 takes any."""
+        access = parameters_of(link, timeout=self.timeout)
+        there = names if isinstance(access, ServerParameters) else access.names(node)
+        return [name for name in names if name in there]
+
     def write(self, link: RobotLink, node: str, values: Mapping[str, ParameterValue]) -> None:
         """Set parameters."""
         parameters_of(link, timeout=self.timeout).change(node, values)

@@ -133,7 +133,12 @@ class _Client:
         self._expected: set[str] = set()
         self._heard = threading.Event()
         self._status = graph.transport.subscribe(
-            action + STATUS_TOPIC, STATUS_TYPE, self._take_status, qos=Qos.TRANSIENT_LOCAL, is_raw=False
+            action + STATUS_TOPIC,
+            STATUS_TYPE,
+            self._take_status,
+            qos=Qos.TRANSIENT_LOCAL,
+            is_raw=False,
+            is_of_goal=True,
         )
         self._heard.wait(_EARLIER)
 

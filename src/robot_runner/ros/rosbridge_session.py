@@ -61,7 +61,7 @@ class _Pending:
 
 
 class Session:
-    """A connection, with a thread that receives and one that executes callbacks.
+    """A connection, with a thread that receives, one for callbacks, and a prompt one for those that wait for none.
 
     Methods that send or wait raise a `LinkError` once the connection is lost.
 
@@ -101,7 +101,7 @@ class Session:
         self._lost: LinkError | None = None
         self._is_closed = False
         self._is_over = threading.Event()
-        self._todo: queue.SimpleQueue[tuple[Callable[[], None], int] | None] = queue.SimpleQueue()
+        self._todo = {form: queue.SimpleQueue[tuple[Callable[[], None], int] | None]() for form in (False, True)}
         self._size, self._waiting_bytes = 0, 0
         self._closing = ExitStack()
         self._connection = connect(address, ANSWER, self._closing, where=self.where)
@@ -110,7 +110,8 @@ class Session:
             threading.Thread(target=target, name=f"rosbridge {name}", daemon=True)
             for name, target in (
                 ("receiver", self._receive),
-                ("callbacks", self._call_back),
+                ("callbacks", partial(self._call_back, self._todo[False])),
+                ("prompt callbacks", partial(self._call_back, self._todo[True])),
                 ("pings", self._keep_asking),
             )
         ]
@@ -198,8 +199,8 @@ class Session:
         if self._lost is not None:
             raise self._lost
 
-    def later(self, todo: Callable[[], None]) -> None:
-        """Queue a function for the thread that executes callbacks.
+    def later(self, todo: Callable[[], None], *, is_prompt: bool = False) -> None:
+        """Queue a function for the thread that executes callbacks, or for the one that is prompt.
 
         Called by the receiving thread, for the frame that it has just read. If callbacks are slower than messages
         arrive, the connection is closed before the memory is full.
@@ -208,11 +209,10 @@ class Session:
         with self._lock:
             self._waiting_bytes += size
             waiting = self._waiting_bytes
-        if self._todo.qsize() >= _MOST_WAITING or waiting > _MOST_WAITING_BYTES:
-            count = self._todo.qsize()
+        if (count := self._todo[is_prompt].qsize()) >= _MOST_WAITING or waiting > _MOST_WAITING_BYTES:
             self._lose(f"callbacks are too slow: {count:,} messages of {waiting >> 20:,} MiB wait for them")
             return
-        self._todo.put((todo, size))
+        self._todo[is_prompt].put((todo, size))
 
     def complaint(self, name: str) -> str | None:
         """Return the server's complaint about the operation with this id, if it has sent one."""
@@ -229,7 +229,8 @@ class Session:
             return
         self._is_closed = True
         self._is_over.set()
-        self._todo.put(None)
+        for waiting in self._todo.values():
+            waiting.put(None)
         with suppress(*send_errors()):
             self._closing.close()
         self._sender.close()
@@ -369,8 +370,8 @@ class Session:
         if not name.startswith("robot_runner:"):
             _logger.warning("%s complains: %s", self.where, text)
 
-    def _call_back(self) -> None:
-        while (waiting := self._todo.get()) is not None:
+    def _call_back(self, queued: queue.SimpleQueue[tuple[Callable[[], None], int] | None]) -> None:
+        while (waiting := queued.get()) is not None:
             todo, size = waiting
             with self._lock:
                 self._waiting_bytes -= size

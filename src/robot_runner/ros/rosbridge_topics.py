@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -25,33 +25,33 @@ _RAW_FIELDS = frozenset({"bytes", "secs", "nsecs"})
 
 @dataclass(slots=True)
 class Topic:
-    """A topic that the server sends here, and its receivers."""
+    """A topic that the server sends here, and its receivers, each with whether it is prompt: it waits for no other."""
 
     name: str
     message_type: str
     shape: Shape | None
     compression: str
     request_id: str
-    kept: deque[Reception]
-    receivers: list[Callable[[Reception], None]] = field(default_factory=list)
+    kept: Mapping[bool, deque[Reception]]
+    receivers: list[tuple[Callable[[Reception], None], bool]] = field(default_factory=list)
     _lock: threading.Lock = field(default_factory=threading.Lock)
 
-    def join(self, receive: Callable[[Reception], None]) -> list[Reception]:
+    def join(self, receive: Callable[[Reception], None], *, is_prompt: bool) -> list[Reception]:
         """Add a receiver of later messages, and return the messages that are kept, which it does not get."""
         with self._lock:
-            self.receivers.append(receive)
-            return list(self.kept)
+            self.receivers.append((receive, is_prompt))
+            return list(self.kept[is_prompt])
 
     def leave(self, receive: Callable[[Reception], None]) -> None:
         """Remove a receiver."""
         with self._lock:
-            self.receivers = [each for each in self.receivers if each is not receive]
+            self.receivers = [each for each in self.receivers if each[0] is not receive]
 
-    def hand_on(self, reception: Reception) -> None:
-        """Keep a message, and pass it to the receivers."""
+    def hand_on(self, reception: Reception, *, is_prompt: bool) -> None:
+        """Keep a message for later receivers of this kind, and pass it to the present ones."""
         with self._lock:
-            self.kept.append(reception)
-            receivers = list(self.receivers)
+            self.kept[is_prompt].append(reception)
+            receivers = [receive for receive, is_its_kind in self.receivers if is_its_kind is is_prompt]
         for receive in receivers:
             receive(reception)
 

@@ -112,19 +112,27 @@ class RosbridgeTransport:
             return fresh
 
     def subscribe(
-        self, topic: str, message_type: str, receive: Callable[[Reception], None], *, qos: Qos | None, is_raw: bool
+        self,
+        topic: str,
+        message_type: str,
+        receive: Callable[[Reception], None],
+        *,
+        qos: Qos | None,
+        is_raw: bool,
+        is_of_goal: bool = False,
     ) -> ClosedBy:
-        """Call `receive` with each message, in the session's thread for callbacks."""
+        """Call `receive` with each message, in the session's thread for callbacks, or in the one that is prompt."""
         self._session.check_open(topic)
+        is_prompt = is_raw or is_of_goal
         with self._lock:
             known = self._topics.get(topic)
             if known is None:
-                known = self._subscribed(topic, message_type, receive, is_raw=is_raw)
+                known = self._subscribed(topic, message_type, receive, is_raw=is_raw, is_prompt=is_prompt)
             else:
                 check_type(topic, message_type, [known.message_type])
                 if (is_raw and known.compression != RAW) or (not is_raw and known.shape is None):
                     raise one_form(topic, message_type)
-                kept = known.join(receive)
+                kept = known.join(receive, is_prompt=is_prompt)
                 for each in kept if qos is Qos.TRANSIENT_LOCAL else ():
                     receive(each)
         return ClosedBy(lambda: self._unsubscribe(known, receive))
@@ -204,16 +212,21 @@ class RosbridgeTransport:
         told = self._rosapi.topic_type(topic)
         return [] if told is None else [told]
 
-    def _subscribed(self, name: str, message_type: str, receive: Callable[[Reception], None], *, is_raw: bool) -> Topic:
+    def _subscribed(
+        self, name: str, message_type: str, receive: Callable[[Reception], None], *, is_raw: bool, is_prompt: bool
+    ) -> Topic:
         is_known = self.types.is_known_here(message_type)
         shape = None if is_raw and not is_known else self.types.shape(message_type)
         # A server's own CBOR fails at some arrays, in ROS 2 at more; and its JSON has neither NaN nor infinity.
         plain = "cbor" if self.types.generation == 1 and shape is not None and passes_as_cbor(shape) else "none"
         check_type(name, message_type, self._told_type(name))
         request_id = self._session.fresh_id("subscribe")
-        kept: deque[Reception] = deque(maxlen=_MOST_TOGETHER if message_type == _TOGETHER else 1)
+        most = _MOST_TOGETHER if message_type == _TOGETHER else 1
+        kept = {form: deque[Reception](maxlen=most) for form in (False, True)}
         topic = Topic(name, message_type, shape, RAW if is_known or is_raw else plain, request_id, kept)
-        topic.receivers.append(receive)  # what is kept for those who come late comes before the server has answered
+        topic.join(
+            receive, is_prompt=is_prompt
+        )  # what is kept for those who come late comes before the server has answered
         self._topics[name] = topic
         operation = {"op": "subscribe", "id": request_id, "topic": name, "type": self.types.wire_name(message_type)}
         try:
@@ -244,7 +257,8 @@ class RosbridgeTransport:
         topic = self._topics.get(name)
         if topic is not None:
             reception = RosbridgeReception(self.types, topic, message, self._now_ns())
-            self._session.later(partial(topic.hand_on, reception))
+            for is_prompt in (True, False):
+                self._session.later(partial(topic.hand_on, reception, is_prompt=is_prompt), is_prompt=is_prompt)
 
     def _take_request(self, operation: Mapping[str, Any]) -> None:
         if not self._answering.acquire(blocking=False):

@@ -183,8 +183,8 @@ _RECENT = 20
 def missed(sequence: Sequence[int]) -> int | None:
     """Return how many numbers of a sequence are missing; None where no publisher counts.
 
-    A publisher counts its messages, modulo 2^32. Where the numbers fall, it was restarted; where they fall often, there
-    are several publishers with counters of their own, and losses cannot be known.
+    A publisher counts its messages, modulo 2^32. Where the numbers fall, it was restarted; where they fall often, or
+    come twice, there are several publishers with counters of their own, and losses cannot be known.
 
     Example:
         >>> missed([7, 8, 11, 12]), missed([0, 0, 0]), missed([90, 91, 0, 1]), missed([5, 900, 6, 901, 7, 902])
@@ -192,7 +192,7 @@ def missed(sequence: Sequence[int]) -> int | None:
     """
     steps = [(later - sooner) % _UINT32 for sooner, later in pairwise(sequence)]
     falls = sum(step >= _UINT32 // 2 for step in steps)
-    if not any(steps) or falls > max(1, len(steps) // _STEPS_A_FALL):
+    if not steps or 0 in steps or falls > max(1, len(steps) // _STEPS_A_FALL):
         return None
     return sum(step - 1 for step in steps if 1 < step < _UINT32 // 2)
 
@@ -359,7 +359,8 @@ class ReceivedTopic:
         if not self.times or self.dropped(window) is not None:
             return None
         if not self._is_behind(window):
-            return "nothing numbers the messages, so that it is not known how many were lost"
+            who = "several publishers number" if len(set(self.known_numbers)) > 1 else "nothing numbers"
+            return f"{who} the messages, so that it is not known how many were lost"
         due, arrived = self.underway(window), len(self.times)
         return (
             f"{arrived} messages arrived, and by their rate about {due} more were due when the window ended: it is not "

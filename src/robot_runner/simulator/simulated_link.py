@@ -118,13 +118,20 @@ class SimulatedTransport:
         return self._commands.setdefault(name, _CommandPublisher(self._robot, name, self._simulation))
 
     def subscribe(
-        self, topic: str, message_type: str, receive: Callable[[Reception], None], *, qos: Qos | None, is_raw: bool
+        self,
+        topic: str,
+        message_type: str,
+        receive: Callable[[Reception], None],
+        *,
+        qos: Qos | None,
+        is_raw: bool,
+        is_of_goal: bool = False,
     ) -> ClosedBy:
         """Call `receive` with each message, at the rate of the real robot, during sleeps on the clock.
 
         Commands can be subscribed to, too, as on a graph, so that they can be recorded.
         """
-        del qos, is_raw
+        del qos, is_raw, is_of_goal
         published, clock, types = self._published().get(topic), self._simulation.clock, self.topics()
         if topic not in types:
             raise self._unknown(topic, self._robot.topics, kind="topic that the robot publishes")

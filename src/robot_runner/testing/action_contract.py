@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
@@ -18,7 +19,7 @@ from robot_runner.testing.plugin_contract import require
 PATIENCE = 20.0
 #: By how much an operation may exceed its deadline, s, and how often it is tried, since a busy machine may be late.
 _SLACK, _ATTEMPTS = 3.0, 3
-_FIBONACCI = "example_interfaces/Fibonacci"
+_FIBONACCI, _STRING = "example_interfaces/Fibonacci", "std_msgs/String"
 #: How long a step of an execution takes, s.
 _STEP = 0.05
 #: More steps than any test awaits.
@@ -73,6 +74,7 @@ class ActionContract:
         pass_time: Callable[[float], None]
         opened: Callable[..., AbstractContextManager[RobotLink]]
         until: Callable[..., None]
+        discovery: ClassVar[float]
 
     def counted(self, execution: GoalExecution) -> Message:
         """Execute a goal as in the tutorial of ROS: step by step, with feedback after each."""
@@ -103,6 +105,33 @@ class ActionContract:
             goal.cancel()  # does nothing, as the goal is over
             offer.close()
             offer.close()
+
+    def test_a_goal_ends_while_a_callback_of_a_topic_is_at_work(self) -> None:
+        """Check that its end waits for no callback, by which its duration would be longer."""
+        if not hasattr(self, "discovery"):  # callbacks of the embedded robot are called while its clock is slept on
+            return
+        began, released = threading.Event(), threading.Event()
+
+        def work(_: Message) -> None:
+            began.set()
+            released.wait(2 * PATIENCE)
+
+        with self.opened() as robot, self.opened() as link:
+
+            def has_begun() -> bool:
+                robot.publish("chatter", _STRING, {"data": "a"})
+                return began.is_set()
+
+            robot.offer_action("count", self.action_type, self.counted)
+            self.until(lambda: "/count" in link.actions(), "the action is not found", timeout=self.discovery)
+            link.subscribe("chatter", _STRING, work)
+            self.until(has_begun, "nothing is received", timeout=self.discovery)
+            told: list[Message] = []
+            goal = link.send_goal("count", self.action_type, {"order": 5}, on_feedback=told.append)
+            status = goal.result(timeout=PATIENCE).status
+            released.set()
+            require(status is GoalStatus.SUCCEEDED, f"the goal is {status}")
+            require(len(told) == 4, f"feedback came {len(told)} times")  # noqa: PLR2004 - as of the order
 
     def test_actions_are_listed_by_full_names_with_their_types(self) -> None:
         """Check that an offered action is listed until it is closed."""

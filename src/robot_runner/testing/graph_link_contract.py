@@ -110,18 +110,12 @@ class GraphLinkContract(RobotLinkContract):
 
     def test_a_message_arrives_with_every_field(self) -> None:
         """Check that texts, numbers, arrays, bytes, times and nested fields arrive as they were sent."""
-        image = {
-            "header": {"stamp": {"sec": 12, "nanosec": 345}, "frame_id": "caméra"},
-            "height": 2,
-            "width": 1,
-            "encoding": "mono8",
-            "step": 1,
-            "data": b"\x00\xff",
-        }
+        sent = {"stamp": {"sec": 12, "nanosec": 345}, "frame_id": "caméra"}
+        image = {"header": sent, "height": 2, "width": 1, "encoding": "mono8", "step": 1, "data": b"\x00\xff"}
         with self.opened() as robot, self.opened() as link:
             received = self.received_on(link, "image", _IMAGE, robot, image)[0]
             header = received["header"]
-            require(header["stamp"] == {"sec": 12, "nanosec": 345}, f"the stamp is {header['stamp']}")
+            require(header["stamp"] == sent["stamp"], f"the stamp is {header['stamp']}")
             require(header["frame_id"] == "caméra", f"a text is {header['frame_id']!r}")
             require(received["data"] == b"\x00\xff", f"bytes are {received['data']!r}")
             require((received["height"], received["is_bigendian"]) == (2, 0), f"numbers are {received}")
@@ -134,15 +128,23 @@ class GraphLinkContract(RobotLinkContract):
             require(isinstance(ranges, list), f"an array is {ranges!r}")
             require(ranges[:2] == [1.5, math.inf] and math.isnan(ranges[2]), f"the ranges are {ranges}")
 
-    def test_bytes_are_those_of_the_message(self) -> None:
-        """Check that raw bytes are encoded as in a bag of this generation of ROS."""
+    def test_bytes_are_those_of_the_message_and_wait_for_no_callback(self) -> None:
+        """Check that raw bytes are encoded as in a bag of this generation, and arrive while another callback works."""
         from robot_runner.ros.type_catalogue import TypeCatalogue  # noqa: PLC0415  # it needs rosbags
 
         with self.opened() as robot, self.opened() as link:
-            raw: list[RawMessage] = []
-            link.subscribe_raw("chatter", _STRING, raw.append)
-            self.received_on(link, "chatter", _STRING, robot, {"data": "hello"})
-            self.until(lambda: raw, "no bytes are received")
+            raw, released = list[RawMessage](), threading.Event()
+            hang: Any = lambda _: released.wait(2 * self.discovery)  # noqa: E731
+            for _ in range(2):
+                link.subscribe("chatter", _STRING, hang)
+                link.subscribe_raw("chatter", _STRING, raw.append)
+
+            def have_arrived() -> bool:
+                robot.publish("chatter", _STRING, {"data": "hello"})
+                return len(raw) > 1
+
+            self.until(have_arrived, "bytes are not received, or wait for a callback", timeout=self.discovery)
+            released.set()
             catalogue = TypeCatalogue.of(1 if link.encoding is Encoding.ROS1 else 2)
             message = catalogue.deserialise(_STRING, raw[0].data, link.encoding)
             require(message == {"data": "hello"}, f"the bytes say {message}")
@@ -268,8 +270,7 @@ class GraphLinkContract(RobotLinkContract):
     def test_the_first_message_that_satisfies_a_condition_is_returned(self) -> None:
         """Check that `wait_for` skips the others, and returns as soon as the message arrives."""
         with self.opened() as robot, self.opened() as link:
-            numbers = iter(range(100_000))
-            is_over = threading.Event()
+            numbers, is_over = iter(range(100_000)), threading.Event()
 
             def count() -> None:
                 while not is_over.wait(0.02):
@@ -396,5 +397,4 @@ class GraphLinkContract(RobotLinkContract):
 
 
 def _speed(message_type: str, command: Message) -> float:
-    speed: float = velocity_of(plain_type(message_type), command)["linear"]["x"]
-    return speed
+    return float(velocity_of(plain_type(message_type), command)["linear"]["x"])

@@ -120,8 +120,11 @@ class ParameterNode(_ServingNode):
     def _set(self, parameter: Message) -> dict[str, Any]:
         name, value = parameter["name"], from_wire(parameter["value"])
         reason = self._objection(name, value, ParameterKind(parameter["value"]["type"]))
-        if not reason:
+        if not reason and value is None:  # both libraries undeclare it then
+            del self.values[name]
+        elif not reason:
             self.values[name] = value
+        if not reason:
             self.changes.append((name, value))
         return {"successful": not reason, "reason": reason}
 

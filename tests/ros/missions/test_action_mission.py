@@ -14,7 +14,8 @@ from tests.waiting import PATIENCE, wait_until
 from robot_runner.core.config.preparation import prepare
 from robot_runner.core.errors import LinkError, PluginError
 from robot_runner.core.events.context import SystemClock
-from robot_runner.core.links.goals import ActionCanceled, GoalStatus
+from robot_runner.core.links.connect import connect_robot
+from robot_runner.core.links.goals import ActionAborted, ActionCanceled, GoalStatus
 from robot_runner.plugins import Circumstances, Measure, treatment
 from robot_runner.plugins.systems import ActionMission, Together
 from robot_runner.ros.missions import action_mission
@@ -141,6 +142,37 @@ def test_the_duration_begins_with_the_goal_s_acceptance(contexts: Any) -> None:
     context = contexts(mission)
     offered(context, accept=lambda _: False)
     assert rehearse(context, mission)["Duration"] is None
+
+
+@pytest.mark.parametrize(
+    ("sequence", "is_aborted", "second"), [([7, 8], False, 8), ([7, 8], True, 8), ([], True, None)]
+)
+def test_an_element_that_the_result_of_an_aborted_goal_lacks_is_missing_and_fails_no_run(
+    contexts: Any, sequence: list[int], is_aborted: bool, second: int | None
+) -> None:
+    context, mission = _counted(contexts, sequence, is_aborted=is_aborted)
+    measured = rehearse(context, mission)
+    assert (measured["Success"], measured["Second"]) == (not is_aborted, second)
+
+
+def test_an_element_that_the_result_of_a_reached_goal_lacks_fails_the_run(contexts: Any) -> None:
+    context, mission = _counted(contexts, [7], is_aborted=False)
+    with pytest.raises(LinkError, match=r"no field 'sequence\.1'"):
+        rehearse(context, mission)
+
+
+def _counted(contexts: Any, sequence: list[int], *, is_aborted: bool) -> tuple[Any, ActionMission]:
+    action_type = "example_interfaces/Fibonacci"
+    mission = ActionMission("count", action_type, result={"Second": "sequence.1"}, failure="measure")
+
+    def execute(_: Any) -> dict[str, Any]:
+        if is_aborted:
+            raise ActionAborted(result={"sequence": sequence})
+        return {"sequence": sequence}
+
+    context = contexts(mission)
+    connect_robot(context).offer_action("count", action_type, execute)
+    return context, mission
 
 
 def test_feedback_that_is_no_number_yet_is_left_out_of_its_mean() -> None:

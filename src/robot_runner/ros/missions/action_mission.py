@@ -197,7 +197,8 @@ class ActionMission(RobotSystem):
         outcome, ended = self._executed(link, context)
         lasted = None if self._accepted_at is None else context.clock.now() - self._accepted_at
         values: dict[str, MeasureValue] = {"Duration": lasted, "Outcome": outcome}
-        values |= self._of_result.values(None if ended is None else ended.result)
+        result, is_reached = None if ended is None else ended.result, outcome == GoalStatus.SUCCEEDED
+        values |= self._of_result.values(result, is_reached=is_reached)
         values.update(self._of_feedback.values())
         values.update(self._of_way.end_mission(context))
         reason = self._reason_of_failure(outcome, ended)

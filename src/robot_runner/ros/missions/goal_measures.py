@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import nullcontext, suppress
 from dataclasses import dataclass
 from operator import itemgetter
 from statistics import fmean
@@ -63,12 +64,20 @@ class ResultMeasures:
         """What they are called."""
         return [each.measure for each in self._taken]
 
-    def values(self, result: Message | None) -> dict[str, MeasureValue]:
-        """Return the value of each measure; None where there is no result."""
-        return {
-            each.measure.name: None if result is None else _value_of(result, each.field, self._where)
-            for each in self._taken
-        }
+    def values(self, result: Message | None, *, is_reached: bool = True) -> dict[str, MeasureValue]:
+        """Return the value of each measure; None where there is no result, or that of a goal that failed lacks it.
+
+        Raises:
+            LinkError: the result of a goal that was reached lacks a field.
+        """
+        values: dict[str, MeasureValue] = dict.fromkeys((each.measure.name for each in self._taken), None)
+        if result is None:
+            return values
+        for each in self._taken:
+            # A server that gives up leaves its lists empty: a study of failures must not lose these runs.
+            with nullcontext() if is_reached else suppress(LinkError):
+                values[each.measure.name] = _value_of(result, each.field, self._where)
+        return values
 
 
 class FeedbackMeasures:
