@@ -18,7 +18,7 @@ from robot_runner.analysis.report.outcome_section import attempt_spans
 from robot_runner.analysis.report.writing import ReportFormat, write_report
 from robot_runner.cli.extension import ExtensionRequest, extend_experiment
 from robot_runner.core.config.preparation import prepare, prepare_or_refuse
-from robot_runner.core.design.growing import Additions, NewFactor
+from robot_runner.core.design.extended_design import Additions, NewFactor
 from robot_runner.core.execution.notices import SilentObserver
 from robot_runner.core.execution.orchestrator import execute_experiment
 

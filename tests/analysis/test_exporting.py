@@ -111,6 +111,24 @@ def test_exporting_again_replaces_the_earlier_export(folder):
     assert results.export() == results.export()
 
 
+def test_the_folder_of_an_experiment_is_not_exported_into(folder, tmp_path):
+    other = make_experiment(tmp_path / "other", [Factor("Task", ["A"])], lambda _treatments, _repetition: {"Energy": 1})
+    before = other.run_table.read_bytes()
+    for target in (other, folder):
+        with pytest.raises(StorageError, match=r"run_table\.csv that no export has written.*Name another folder"):
+            load_results(folder.root).export(target.root)
+    assert other.run_table.read_bytes() == before
+
+
+def test_a_run_table_that_was_imported_from_a_folder_is_not_replaced_by_its_export(folder, tmp_path):
+    original = tmp_path / "original" / "run_table.csv"
+    original.parent.mkdir()
+    original.write_text("id,energy\n1,2.0\n")
+    with pytest.raises(StorageError, match="that no export has written"):
+        load_results(folder.root).export(original.parent)
+    assert original.read_text() == "id,energy\n1,2.0\n"
+
+
 def test_a_partial_experiment_is_exported(tmp_path):
     made = make_experiment(tmp_path / "e", values=lambda treatments, repetition: None)
     files = load_results(made.root).export()

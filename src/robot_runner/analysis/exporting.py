@@ -30,6 +30,7 @@ from robot_runner.analysis.samples import read_samples
 from robot_runner.core.design.columns import RUN_ID
 from robot_runner.core.errors import StorageError
 from robot_runner.core.storage.guarded_files import make_folder, open_to_read, open_to_write, read_text, replace
+from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.system_refusals import storage_errors
 from robot_runner.core.storage.table_schema import data_package, file_resource, table_resource
 
@@ -64,9 +65,10 @@ def export_results(
         samples, and `datapackage.json`.
 
     Raises:
-        StorageError: a file cannot be written.
+        StorageError: a file cannot be written, or the folder has a run table that no export has written.
     """
     target = results.folder / "export" if folder is None else folder.expanduser()
+    _keep_other_table(target)
     with storage_errors(target, "made"):
         if folder is not None:
             target.mkdir(parents=True, exist_ok=True)
@@ -89,6 +91,14 @@ def export_results(
     replace(package, json.dumps(data_package(results.name, listed), indent=2, ensure_ascii=False) + "\n")
     copies = tuple(_copies_for_spreadsheets(results, target)) if for_spreadsheets else ()
     return (*written, *copies, package)
+
+
+def _keep_other_table(target: Path) -> None:
+    """Refuse a folder with a run table that may be the only one: an experiment's, or what another tool has written."""
+    is_export = (target / "datapackage.json").exists() and not ExperimentFolder(target).journal.exists()
+    if (target / "run_table.csv").exists() and not is_export:
+        problem = "the folder has a run_table.csv that no export has written"
+        raise StorageError(problem, where=str(target), fix="Name another folder.")
 
 
 def arrow_table(frame: pd.DataFrame, units: Mapping[str, str]) -> pa.Table:

@@ -65,7 +65,8 @@ def choices_in_words(plan: AnalysisPlan, unit: Callable[[str], str]) -> Iterator
         for name in plan.outliers.bounds:
             rules.setdefault(plan.outliers.in_words(name, unit(name)), []).append(name)
         # A rule of spread holds for all measures, exploratory ones included; bounds hold for one measure.
-        rules.setdefault(plan.outliers.in_words(""), []).append(f"every {'other ' * bool(rules)}numeric measure")
+        others = f"every {'other ' * bool(rules)}numeric measure"
+        rules.setdefault(plan.outliers.in_words(""), []).append(others)
         for rule, of in rules.items():
             if rule:
                 yield f"left out as outliers: values of {enumerated(of)} {rule}"

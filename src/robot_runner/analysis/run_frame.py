@@ -17,9 +17,8 @@ from robot_runner.core.design.columns import EXCLUDED, REPETITION, RUN_ID, STATU
 from robot_runner.core.errors import AnalysisError, Finding
 from robot_runner.core.events.measure import QUALITY_SUFFIX, Quality, quality_of_value
 from robot_runner.core.storage.cells import RunStatus, typed_value, typed_values
-from robot_runner.core.storage.executed_runs import ExcludedRuns, edited_findings, unrecorded_findings
+from robot_runner.core.storage.executed_runs import ExcludedRuns, edited_findings, recorded_rows, unrecorded_findings
 from robot_runner.core.storage.lock import holder_of
-from robot_runner.core.storage.recorded_rows import recorded_rows
 from robot_runner.core.storage.table_columns import MARKS, ColumnDescription, ColumnRole
 from robot_runner.core.storage.table_schema import type_of_values
 

@@ -46,6 +46,26 @@ def facts_of(*folders, **settings):
 TASKS = {"Video": 30.0, "Network": 20.0, "Idle": 20.0}
 
 
+@pytest.mark.parametrize(("estimand", "told"), [("rank", ["ranks"]), ("trimmed mean", ["trimmed means"]), ("mean", [])])
+def test_it_is_said_where_the_report_of_an_experiment_compares_no_means(lab, estimand, told):
+    planned = lab(TASKS, manifest={"analysis": {"measures": ["Energy"], "estimand": estimand}})
+    found = meta_analyse(planned, lab(TASKS)).findings
+    problems = [each.problem for each in found if "means are combined" in each.problem]
+    assert problems == [f"the plan of this experiment compares {what}, and means are combined" for what in told]
+
+
+def test_without_a_standardised_difference_of_an_experiment_the_page_has_the_others(lab, make_folder):
+    # Of two runs of each treatment, of which one does not vary, a single degree of freedom is left: g has no mean.
+    rows = [("Video", 30.0), ("Video", 31.5), ("Network", 20.0), ("Network", 20.0)]
+    factors = {"Task": ["Video", "Network"]}
+    few = make_folder(factors=factors, rows=rows, measures={"Energy": "J"}, name="few", day="2009-01-31").root
+    found = meta_analyse(few, lab({"Video": 30.0, "Network": 20.0}))
+    assert found.measure("Energy").effects[0].standardised is None
+    (averages,) = [each for each in combined_document(found, made="now").tables if each.name == "averages Energy"]
+    row = dict(zip([column.name for column in averages.columns], averages.rows[0], strict=True))
+    assert (row["Hedges' g"].value, row["Average"].value is None) == (None, False)
+
+
 @pytest.mark.long
 def test_the_differences_of_each_experiment_are_those_of_its_report(lab):
     folders = [lab(TASKS) for _ in range(3)]

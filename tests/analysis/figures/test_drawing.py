@@ -263,6 +263,26 @@ def test_a_proportion_without_an_interval_is_a_point_without_a_bar():
     assert len(axes.collections) == 1, "one bar"
 
 
+def test_proportions_of_some_treatments_look_as_in_figures_of_all():
+    known = Proportion({"Task": "b"}, 4, 0, 3, 75.0, Interval(30.0, 95.0, 0.95, "Wilson's score interval"))
+    (axes,) = draw_proportions([known], value_label="Reached (%)", group_label="Task", order=[*TASKS, "b"]).axes
+    assert axes.lines[0].get_color() == looks(3)[2].colour
+
+
+def test_no_line_leads_through_a_combination_without_runs():
+    cells = {name: Group(name, (1.0, 2.0), ("r_1", "r_2")) for name in ("a", "c")}
+    figure = draw_interaction(
+        {"lab": cells, "hall": cells | {"b": cells["a"]}},
+        treatments=["a", "b", "c"],
+        value_label=LABEL,
+        along="A",
+        across="B",
+    )
+    gap, whole = (line.get_ydata() for line in figure.axes[0].lines if line.get_label() in {"lab", "hall"})
+    assert np.isnan(gap).tolist() == [False, True, False]
+    assert list(whole) == [1.5, 1.5, 1.5]
+
+
 def test_letters_that_no_font_has_become_boxes():
     groups = [Group("\U000e0fff 🤖", (1.0,), ("r",))]
     assert figure_bytes(draw_distribution(groups, value_label=LABEL, group_label="T"), FigureFormat.PNG)

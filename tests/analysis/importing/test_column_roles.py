@@ -390,6 +390,20 @@ def guessed(tmp_path, text, **said):
     return roles_of(read_foreign_table(write(tmp_path / "run_table.csv", text)), ImportDescription(**said))
 
 
+def test_a_text_that_as_many_runs_lack_is_asked_about_as_an_empty_cell_may_be_a_treatment(tmp_path):
+    runs = [(n, r) for r in range(3) for n in range(2)]
+    rows = [f"run_{n}_repetition_{r},{'-f' * n},{10 + n + r / 7}" for n, r in runs]
+    (flags,) = guessed(tmp_path, "\n".join(["__run_id,flags,energy", *rows, ""])).unsure
+    assert (flags.column, flags.reason) == ("flags", "text that as many runs lack: is an empty cell a treatment?")
+
+
+def test_a_remark_on_one_run_is_no_treatment(tmp_path):
+    runs = [(n, r) for r in range(3) for n in range(2)]
+    rows = [f"run_{n}_repetition_{r},{'it fell' * (n + r == 0)},{10 + n + r / 7}" for n, r in runs]
+    roles = guessed(tmp_path, "\n".join(["__run_id,note,energy", *rows, ""]))
+    assert (roles.extras, roles.unsure) == (("note",), ())
+
+
 def test_numbers_among_words_are_not_called_numbers(tmp_path):
     versions = {"version": ["3.1", "3.2", "4-scout"]}
     guesses = guessed(tmp_path, made("__run_id,__done,version,energy", versions, **IDS)).guesses

@@ -34,6 +34,33 @@ def test_the_columns_of_the_earlier_tools_are_known(root):
     assert roles.measures == ("duration_s", "avg_cpu", "energy_J")
 
 
+OWN_TABLE = """\
+run_id,status,excluded,start_run_at,continue_at,Task,Repetition,batch,warm_up,Energy
+w_1,Done,,2026-01-31T12:00:00.250Z,,Idle,0,1,True,99
+r_1,Done,,2026-01-31T12:01:00.250Z,,Idle,1,1,False,7.5
+r_2,Done,"it fell, twice",2026-01-31T12:02:00.250Z,,Video,1,1,False,60
+r_3,Done,,2026-01-31T12:03:00.250Z,,Idle,2,2,False,7.75
+r_4,Done,,2026-01-31T12:04:00.250Z,,Video,2,2,False,9
+"""
+
+
+def test_of_a_table_of_ours_what_is_not_analysed_is_left_out_and_told(tmp_path):
+    found = table_only(tmp_path, OWN_TABLE)
+    assert [(run.run_id, run.repetition) for run in found.runs] == [("r_1", 1), ("r_3", 2), ("r_4", 2)]
+    assert (found.roles.factors, found.roles.measures) == (("Task",), ("Energy",))
+    told = [note for note in found.notes if "left out" in note]
+    assert told == ["2 runs left out that Robot Runner does not analyse: w_1 (warm-up), r_2 (it fell, twice)"]
+    assert any("several batches are compared as one" in note for note in found.notes)
+    assert not found.questions
+    named = table_only(tmp_path, OWN_TABLE, ignore=["excluded", "warm_up"], block="batch")
+    assert (len(named.runs), named.roles.block) == (5, "batch"), "as the user says"
+
+
+def test_of_a_table_of_others_columns_of_these_names_mean_what_they_mean_there(tmp_path):
+    text = OWN_TABLE.replace("run_id,status", "trial_id,state").replace("it fell, twice", "no")
+    assert len(table_only(tmp_path, text, ignore=["batch", "excluded", "warm_up"]).runs) == 5
+
+
 def test_rows_may_be_in_any_state(root):
     found = understand(root, NOTHING)
     assert [run.status for run in found.runs] == [RunStatus.DONE] * 3 + [RunStatus.TODO]

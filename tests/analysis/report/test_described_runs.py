@@ -8,6 +8,7 @@ import pytest
 from tests.analysis.made_experiment import make_experiment
 
 from robot_runner.analysis import analyse, load_results
+from robot_runner.analysis.plan_file import choices_in_words
 from robot_runner.analysis.report.blocks import Facts, Paragraph, Remarks
 from robot_runner.analysis.report.document import report_document
 from robot_runner.analysis.report.material import Material
@@ -102,6 +103,11 @@ def test_what_was_fixed_names_each_planned_measure_and_whose_values_a_rule_leave
         f"left out as outliers: values of Energy {spread}, or below 0; "
         f"left out as outliers: values of every other numeric measure {spread}"
     )
+
+
+def test_a_rule_without_bounds_is_said_to_hold_for_every_numeric_measure() -> None:
+    (choice,) = choices_in_words(AnalysisPlan("Energy", outliers=Outliers(median_deviations=3)), lambda _: "J")
+    assert choice.startswith("left out as outliers: values of every numeric measure more than 3 median absolute")
 
 
 @pytest.mark.parametrize("other", [Factor("Map", ["m1"]), MAP], ids=["one treatment", "one executed"])

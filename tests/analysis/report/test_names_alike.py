@@ -54,6 +54,19 @@ def test_combinations_that_read_alike_have_their_own_means(tmp_path: Path) -> No
     assert [(row[0].text, row[1].value) for row in described.rows] == [(label, 5) for label in labels]
 
 
+def test_an_empty_treatment_is_not_taken_for_all_runs(tmp_path: Path) -> None:
+    flags = [Factor("Flags", ["", "--fast"])]
+    made = document(
+        make_experiment(
+            tmp_path / "made", flags, lambda _treatments, repetition: {"E": repetition}, measures=("E",)
+        ).root
+    )
+    tables = {each.name: each for each in made.tables}
+    assert [row[0].text for row in tables["describe E by Flags"].rows] == ["“”", "--fast"]
+    assert [column.name for column in tables["means"].columns] == ["Measure", "“”", "--fast"]
+    assert tables["factors"].rows[0][1].text == "“”, --fast"
+
+
 def test_combinations_that_read_alike_are_drawn_apart(tmp_path: Path) -> None:
     figures = {each.name: each for each in document(alike(tmp_path / "made")).figures}
     assert figures["distribution E by A / B"].alternative.count("n = 5") == len(MEANS)

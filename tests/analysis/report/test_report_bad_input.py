@@ -155,7 +155,7 @@ def test_without_moments_the_order_of_the_table_is_not_taken_for_that_of_executi
     folder.write()
     (tmp_path / "trial" / "journal.jsonl").unlink()
     text = text_of(folder)
-    assert "Energy over the order of the table: each run less the mean" in text
+    assert "Energy over the order of the table within treatments: each run less the mean" in text
     assert "Residuals over the order of the table, which may be another than that of execution" in text
 
 

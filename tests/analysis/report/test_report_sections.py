@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 
+from robot_runner.analysis.figures.style import looks_by
 from robot_runner.analysis.report.blocks import Chart, Facts, Paragraph, Part, Remarks, Tone
 from robot_runner.analysis.report.document import report_document
 from robot_runner.analysis.report.material import Material
@@ -13,7 +14,7 @@ from robot_runner.analysis.report.summary_section import summary_section
 from robot_runner.analysis.report.threats_section import threats_of
 from robot_runner.analysis.results import load_results
 from robot_runner.analysis.statistics.experiment_statistics import analyse
-from robot_runner.analysis.wording import p_values_in_words
+from robot_runner.analysis.wording import p_values_in_words, shown_number
 from robot_runner.core.storage.journal import Journal
 
 
@@ -67,6 +68,24 @@ def test_what_bars_of_figures_are_is_said_below_them(make_folder):
     single = make_folder(factors={"A": ["x", "y"], "B": ["p", "q"]}, rows=rows[:4], measures={"E": "J", "Ok": ""})
     captions = {figure.name: figure.caption for figure in document(single).figures}
     assert "confidence" not in captions["interaction E A B"] + captions["distribution E by A / B"]
+
+
+@pytest.mark.parametrize(
+    ("estimand", "spread", "caption"), [("mean", " J", "means"), ("rank", "", "mean relative ranks")]
+)
+def test_adjusted_ranks_are_not_said_to_be_means_in_the_unit_of_the_measure(make_folder, estimand, spread, caption):
+    rows = [("ab"[at % 2], 900.0 + 37 * at % 11, 3.0 + 17 * at % 7) for at in range(16)]
+    plan = {"measures": ["Energy"], "covariates": ["CPU"], "estimand": estimand}
+    folder = make_folder(
+        factors={"Task": ["a", "b"]}, rows=rows, measures={"Energy": "J", "CPU": "%"}, manifest={"analysis": plan}
+    )
+    material = material_of(folder)
+    told = material.statistics.measure("Energy").adjustment
+    made = document(folder)
+    (table,) = [each for each in made.tables if each.name == "adjusted Energy"]
+    assert table.caption == f"Energy (J): {caption} as measured, and at the mean of the covariates."
+    (text,) = [each.text for each in made.blocks() if isinstance(each, Paragraph) and "once adjusted" in each.text]
+    assert text.endswith(f" {shown_number(told.residual_spread, 3)}{spread} once adjusted for covariates.")
 
 
 def test_of_pairs_it_is_said_which_treatment_is_subtracted(two_tasks):
@@ -315,6 +334,22 @@ def test_times_are_counted_from_the_start_of_measurement(two_tasks):
     mission = mission_courses(material, measure, material.order)
     assert dict(mission.events) == {"launch_mission": 5.0, "stop_measurement": 10.0}
     assert {course.runs for course in mission.means} == {5}
+
+
+def test_a_treatment_has_one_colour_also_where_courses_of_six_of_many_are_shown(make_folder):
+    levels = [f"level {number}" for number in range(9)]
+    rows = [(level, 1.0 + place) for place, level in enumerate(levels)]
+    folder = make_folder(factors={"Speed": levels}, rows=rows, measures={"Energy": "J"})
+    power(folder)
+    material = material_of(folder)
+    [part] = mission_parts(material)
+    [chart] = [block for block in part.blocks if isinstance(block, Chart)]
+    colours = {name: look.colour for name, look in looks_by(material.order).items()}
+    assert {group["name"]: group["colour"] for group in chart.data["groups"]}.items() <= colours.items()
+    assert len(chart.data["groups"]) == 6
+    (drawn,) = [each for each in document(folder).figures if each.name.endswith("power_W means")]
+    lines = {line.get_label(): line.get_color() for line in drawn.draw().axes[-1].lines}
+    assert lines["level 8"] == colours["level 8"]
 
 
 def test_runs_without_samples_leave_no_hole(two_tasks):

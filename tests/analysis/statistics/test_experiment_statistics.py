@@ -243,7 +243,7 @@ def test_residuals_and_drift_are_those_within_blocks(tmp_path):
     assert jumping.quantiles.observed == pytest.approx(level.quantiles.observed)  # whatever blocks differ by
     assert jumping.drift.p_value == pytest.approx(level.drift.p_value)
     assert jumping.drift.within == ("blocks",)
-    assert energies("plain").drift.within == ()
+    assert energies("plain").drift.within == ("treatments",)
     # Where each run is of a block of its own, nothing would be left.
     of_days = one_factor({"a": [1.0, 2.0, 5.0], "b": [3.0, 4.0, 9.0]}, in_blocks=True)
     between = replace(of_days, frame=of_days.frame.assign(**{" block": [f"d{place}" for place in range(6)]}))
@@ -273,7 +273,7 @@ def test_drift_over_the_order_of_execution_is_warned_of(tmp_path):
     drift = found.measure("Energy").drift
     assert drift.is_significant
     assert drift.slope == pytest.approx(-1.0, abs=0.1)  # three runs a repetition
-    assert found.warnings[0].startswith("Energy falls over the order of execution by about")
+    assert found.warnings[0].startswith("Energy falls over the order of execution within treatments by about")
     assert not drift.is_confounded
 
 
@@ -285,7 +285,8 @@ def test_treatments_that_were_executed_one_after_the_other_are_confounded_with_d
     rising = {"a": list(np.arange(10.0)), "b": list(np.arange(10.0, 20.0))}
     assert drift_of(one_factor(rising), 0.05).is_confounded
     told = drift_of(one_factor(rising), 0.05, is_ordered=False).warning
-    assert "over the order of the table, which may be another than that of execution, by about" in told
+    order = "order of the table, which may be another than that of execution, within treatments"
+    assert f"over the {order} by about" in told
 
 
 def test_what_was_planned_is_told_from_what_is_exploratory(tmp_path):

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.cli.console import Column, UserConsole, aligned, print_facts, shown_path, width_of
-from robot_runner.core.words import counted, listed, one_line
+from robot_runner.core.words import counted, listed, one_line, shown_treatment
 
 if TYPE_CHECKING:
     from robot_runner.analysis.importing.adoption import Adoption
@@ -30,7 +30,7 @@ def print_understanding(console: UserConsole, found: Understanding, target: Path
     repetition = roles.repetition or ("the run ids" if roles.repetition_in_run_id else "")
     facts = [("Runs", f"{len(found.runs)}: {counts}; ids from {one_line(roles.run_id or 'their place in the table')}")]
     facts += [("Design", found.design_words)]
-    facts += [(f"Factor {name}", listed(map(one_line, found.treatments(name)))) for name in roles.factors]
+    facts += [(f"Factor {name}", listed(map(shown_treatment, found.treatments(name)))) for name in roles.factors]
     facts += [("Blocks", one_line(roles.block) if roles.block else "")]
     facts += [("Repetitions", f"counted by {one_line(repetition)}" if repetition else "")]
     facts += [(f"Samples {each.file}", _samples_words(each)) for each in found.samples]

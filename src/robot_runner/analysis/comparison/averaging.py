@@ -48,6 +48,7 @@ from robot_runner.core.errors import AnalysisError, Finding
 
 if TYPE_CHECKING:
     from robot_runner.analysis.statistics.analysed_design import MeasureData
+    from robot_runner.core.design.analysis_plan import AnalysisPlan
 
 _ALPHA = 0.05
 _FEWEST = 2
@@ -97,6 +98,7 @@ def meta_analyse(
     findings += found
     findings += [finding for of in (unit_findings, value_findings) for each in chosen for finding in of(each, alike)]
     findings += [Finding.warning(each.name, why) for each in alike if (why := failures_in_words(each.results))]
+    findings += [Finding.warning(each.name, why) for each in alike if (why := _other_estimand(each.results.plan))]
     AnalysisError.refuse(each for each in findings if each.is_error)
     factors = [name for each in alike for name in each.design.factors]
     return MetaAnalysis(
@@ -107,6 +109,13 @@ def meta_analyse(
         differing_circumstances(*results),
         tuple(findings),
     )
+
+
+def _other_estimand(plan: AnalysisPlan | None) -> str:
+    """Return that the report of an experiment compares no means; empty where it does."""
+    if plan is None or plan.estimand is Estimand.MEAN:
+        return ""
+    return f"the plan of this experiment compares {plan.estimand.value}s, and means are combined"
 
 
 class _Estimated(NamedTuple):

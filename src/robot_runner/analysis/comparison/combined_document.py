@@ -143,7 +143,7 @@ def _averages(found: MetaAnalysis, measure: CombinedMeasure) -> Table:
         number("Average", "difference.random.estimate"),
         interval(f"{level} CI", "difference.random.interval"),
         p_value("p", "adjusted_p_value", "is_significant"),
-        number("Hedges' g", "standardised.random.estimate", 3),
+        number("Hedges' g", lambda effect: effect.standardised and effect.standardised.random.estimate, 3),
         number("SD between", lambda effect: math.sqrt(effect.difference.heterogeneity.tau_squared), 3),
         number("I² (%)", "difference.heterogeneity.i_squared", 3),
         p_value("p, differ", "difference.heterogeneity.p_value"),

@@ -98,13 +98,20 @@ def draw_distribution(
 
 
 @figure_style()
-def draw_proportions(groups: Sequence[Proportion], *, value_label: str, group_label: str) -> Figure:
-    """Draw a point for the percentage of each group, with its confidence interval if it has one."""
+def draw_proportions(
+    groups: Sequence[Proportion], *, value_label: str, group_label: str, order: Sequence[str] = ()
+) -> Figure:
+    """Draw a point for the percentage of each group, with its confidence interval if it has one.
+
+    `order` has all treatments, where some have no group, so that the others look as in figures of all.
+    """
     is_upright = len(groups) <= _MOST_UPRIGHT
     figure, axes = new_axes(COLUMN, 2.3 if is_upright else min(HIGHEST, 0.6 + _ROW * len(groups)))
-    for place, (group, look) in enumerate(zip(groups, looks(len(groups)), strict=True)):
+    by_name = looks_by(dict.fromkeys([*order, *(group.label for group in groups)]))
+    for place, group in enumerate(groups):
         if group.percent is None:
             continue
+        look = by_name[group.label]
         ends = group.interval
         reach = None if ends is None else [[group.percent - ends.low], [ends.high - group.percent]]
         drawn: dict[str, Any] = {"color": look.colour, "marker": "D", "markersize": 4.0, "capsize": 3.0}

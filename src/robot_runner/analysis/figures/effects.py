@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -48,24 +49,26 @@ def draw_interaction(
     along: str,
     across: str,
 ) -> Figure:
-    """Draw the mean of each combination of two factors; lines that are not parallel hint at an interaction."""
+    """Draw the mean of each combination of two factors; lines that are not parallel hint at an interaction.
+
+    A line is broken where a combination has no runs.
+    """
     figure, axes = new_axes(COLUMN, 2.5)
     shift = min(0.06, 0.3 / max(1, len(groups)))  # so that intervals do not overlap
     for number, (treatment, look) in enumerate(looks_by(groups).items()):
         offset = (number - (len(groups) - 1) / 2) * shift
         members = groups[treatment]
-        points = [(place + offset, members[name]) for place, name in enumerate(treatments) if name in members]
-        means = [group.mean for _, group in points]
+        points = [(place + offset, members.get(name)) for place, name in enumerate(treatments)]
         axes.plot(
             [at for at, _ in points],
-            means,
+            [math.nan if group is None else group.mean for _, group in points],
             color=look.colour,
             linestyle=look.line,
             marker=look.marker,
             label=verbatim(treatment),
         )
         for at, group in points:
-            if group.mean_low is not None and group.mean_high is not None:
+            if group is not None and group.mean_low is not None and group.mean_high is not None:
                 axes.plot([at, at], [group.mean_low, group.mean_high], color=look.colour, linewidth=0.8)
     name_places(figure, axes, treatments)
     axes.set_xlim(-0.4, len(treatments) - 0.6)

@@ -166,7 +166,7 @@ class ColumnVerdicts(ColumnEvidence):
         if self.count == 1:
             yield Role.FACTOR, Confidence.LIKELY, "a text, in the one run"
         if not self.is_filled(name):
-            yield Role.TEXT, Confidence.LIKELY, "text that some runs lack"
+            yield self._of_gaps(name, is_first=is_first)
         if self._are_moments(name):
             yield Role.TEXT, Confidence.SURE, "moments"
         if self.varies(name):
@@ -183,6 +183,13 @@ class ColumnVerdicts(ColumnEvidence):
         if TREATMENTS.fullmatch(name):
             yield Role.FACTOR, Confidence.LIKELY, "its name, after the measures"
         yield Role.TEXT, Confidence.LIKELY, "text after the measures that repeats unevenly"
+
+    def _of_gaps(self, name: str, *, is_first: bool) -> Verdict:
+        """Return the verdict on a text that some runs lack."""
+        is_few = self.levels(name) <= max(2, self.count // 2)
+        if is_first and is_few and self.is_even(name) and not self.varies(name):
+            return Role.FACTOR, Confidence.UNSURE, "text that as many runs lack: is an empty cell a treatment?"
+        return Role.TEXT, Confidence.LIKELY, "text that some runs lack"
 
     def _numbers(
         self, name: str, others: Sequence[str], repetition: str | None, *, is_first: bool

@@ -17,6 +17,7 @@ from robot_runner.analysis.importing.description import ImportDescription, Recip
 from robot_runner.analysis.importing.foreign_runs import ForeignRun, read_runs
 from robot_runner.analysis.importing.foreign_samples import ForeignSamples, understand_samples
 from robot_runner.analysis.importing.foreign_table import ForeignTable, read_foreign_table
+from robot_runner.analysis.importing.own_table import without_unanalysed
 from robot_runner.analysis.importing.recomputation import check_recipes, guess_recipes
 from robot_runner.analysis.importing.units import Unit, unit_of
 from robot_runner.core.design.columns import REPETITION, is_fit_for_heading, name_findings
@@ -181,7 +182,8 @@ def understand(root: Path, said: ImportDescription) -> Understanding:
         StorageError: the results cannot be read.
         AnalysisError: the results cannot be understood, or the user's description does not fit them.
     """
-    table = read_foreign_table(_table_path(root, said.table), said.decimal)
+    named = (*(said.factors or ()), *(said.measures or ()), *said.ignore, said.block)
+    table = without_unanalysed(read_foreign_table(_table_path(root, said.table), said.decimal), named)
     where = str(table.path)
     if not table.rows:
         raise AnalysisError("there are no runs in the table", where=where, fix="Name the table that holds the runs.")

@@ -10,7 +10,8 @@ from itertools import pairwise
 
 from robot_runner.core.design.columns import REPETITION
 from robot_runner.core.design.design import CombinationDesign, Design, FullFactorial
-from robot_runner.core.design.factor import Factor, full_size
+from robot_runner.core.design.factor import Factor
+from robot_runner.core.design.full_factorial import full_size
 from robot_runner.core.design.run_table_model import RunTableModel
 from robot_runner.core.errors import DesignError
 from robot_runner.core.words import INACTIVE

@@ -45,7 +45,6 @@ class Designed:
         terms: the effects, by their factors.
         powers: for a response surface, the factors of each product.
         coding: the centre and half the range of these factors.
-        keeps_together: whether the model subtracts group means, so that drift is tested within groups.
     """
 
     columns: tuple[str, ...]
@@ -56,7 +55,6 @@ class Designed:
     terms: tuple[Term, ...]
     powers: tuple[Term, ...]
     coding: Mapping[str, tuple[float, float]]
-    keeps_together: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,7 +78,7 @@ class SurfaceFacts:
     has_stationary: bool
 
 
-def designed_facts(data: MeasureData, results: Results, *, keeps_together: bool) -> Designed | None:
+def designed_facts(data: MeasureData, results: Results) -> Designed | None:
     """Return the model of a measure's design; None for a factorial, and for models that scripts do not support."""
     known, factors = data.known, data.treatments
     if known.is_plain or factors.conditions or data.lacking:
@@ -101,7 +99,6 @@ def designed_facts(data: MeasureData, results: Results, *, keeps_together: bool)
         terms=tuple(effects.terms),
         powers=tuple(effects.powers),
         coding={name: _ends(factors[name]) for (name, *more) in effects.powers if not more},
-        keeps_together=keeps_together,
     )
 
 

@@ -249,7 +249,7 @@ def _correlated_designs(
     """Yield the correlated measures, with their factors and the model of their design, if it is supported."""
     for name in dict.fromkeys(name for each in statistics.correlations for name in (each.first, each.second)):
         data = _of_measure(design, statistics, name)
-        found = None if data is None else designed_facts(data, design.results, keeps_together=False)
+        found = None if data is None else designed_facts(data, design.results)
         if data is not None and found is not None:
             yield name, data.factors, found
 

@@ -95,8 +95,7 @@ def facts_of_measure(
     levels = level_of_looks(design.results, measure.name)
     residuals = about_residuals(measure)
     compared, left, taken = None, [], {}
-    together = measure.drift is not None and bool(measure.drift.within)
-    designed = designed_facts(data, design.results, keeps_together=together) if measure.proportions is None else None
+    designed = designed_facts(data, design.results) if measure.proportions is None else None
     if measure.proportions is None and designed is None and (data.covariates or not data.known.is_plain):
         # Scripts cannot compute their residuals.
         left = [*residuals.values(), *_not_recomputed(measure)]
@@ -265,7 +264,7 @@ def _is_known(model: object) -> bool:
 
 def _terms(model: Model) -> tuple[tuple[bool, ...], ...]:
     """Return the effects of an incomplete factorial; empty for any other."""
-    if not isinstance(model, CellMeans):
+    if not isinstance(model, CellMeans) or not model.layout.has_gaps:
         return ()
     return tuple(tuple(name in term for name in model.layout.factors) for term in model.layout.terms)
 

@@ -24,7 +24,7 @@ from robot_runner.core.events.measure import Quality
 from robot_runner.core.secret_names import shown_settings
 from robot_runner.core.storage.cells import RunStatus
 from robot_runner.core.storage.executed_runs import moved_in_words
-from robot_runner.core.words import counted, shown_commit, shown_duration
+from robot_runner.core.words import EMPTY, counted, shown_commit, shown_duration
 
 if TYPE_CHECKING:
     from robot_runner.analysis.results import Results
@@ -150,7 +150,7 @@ def _factor_table(material: Material) -> Table:
 
     fields = (
         text("Factor", lambda name: named_within(name, within.get(name, ""))),
-        text("Treatments", lambda name: listed(treatments(name), shown=12)),
+        text("Treatments", lambda name: listed([each if each != "" else EMPTY for each in treatments(name)], shown=12)),
         number("How many", lambda name: len(treatments(name))),
     )
     return build_table("factors", "Factors and their treatments.", names, fields)

@@ -91,7 +91,7 @@ def _distributions(material: Material, measure: MeasureStatistics) -> Iterator[F
         yield draw(material, measure, ())
 
 
-def _proportions(_: Material, measure: MeasureStatistics, factors: tuple[str, ...]) -> FigureBlock:
+def _proportions(material: Material, measure: MeasureStatistics, factors: tuple[str, ...]) -> FigureBlock:
     """Return the figure of the proportions of a measure of yes and no."""
     of = measure.proportions
     assert of is not None  # noqa: S101 - a measure of yes and no has proportions
@@ -109,6 +109,7 @@ def _proportions(_: Material, measure: MeasureStatistics, factors: tuple[str, ..
             groups,
             value_label=f"{measure.name} (% of runs)",
             group_label=JOINT.join(factors),
+            order=_applied_order(material, factors),
         ),
     )
 
@@ -155,8 +156,7 @@ def _groups(material: Material, measure: MeasureStatistics, factors: tuple[str, 
         combination_label(each.treatments[name] for name in factors): each for each in _descriptions(measure, factors)
     }
     runs = material.described(measure)
-    within = material.statistics.design.within
-    order = [label for label in material.order_by(factors) if label != IDLE or not within.keys() >= {*factors}]
+    order = _applied_order(material, factors)
     members: dict[str, list[tuple[float, str]]] = {label: [] for label in order}
     for run_id, value in zip(runs[RUN_ID], runs[measure.name], strict=True):
         if labels[run_id] in members:
@@ -168,6 +168,12 @@ def _groups(material: Material, measure: MeasureStatistics, factors: tuple[str, 
         low, high = (interval.low, interval.high) if interval is not None else (None, None)
         groups.append(Group(label, tuple(value for value, _ in pairs), tuple(run for _, run in pairs), low, high))
     return groups
+
+
+def _applied_order(material: Material, factors: tuple[str, ...]) -> list[str]:
+    """Return the labels of all groups in order, without that of runs to which a conditional factor does not apply."""
+    within = material.statistics.design.within
+    return [label for label in material.order_by(factors) if label != IDLE or not within.keys() >= {*factors}]
 
 
 def _interactions(material: Material, measure: MeasureStatistics) -> list[FigureBlock]:

@@ -139,7 +139,7 @@ def mission_courses(material: Material, measure: SampledMeasure, groups: Sequenc
         runs[material.labels[run_id]].append(course_of_run(run_id, *pair, width))
     there = {group: courses for group, courses in runs.items() if courses}
     phases, events = _phases(material, list(samples)), _events(material, list(samples))
-    return MissionCourses(measure.label, measure.unit, groups, there, width, phases, events)
+    return MissionCourses(measure.label, measure.unit, material.order, there, width, phases, events)
 
 
 def _samples(material: Material, measure: SampledMeasure, groups: Sequence[str]) -> dict[str, tuple[Floats, Floats]]:
@@ -194,9 +194,10 @@ def _shown_groups(material: Material) -> tuple[str, ...]:
 
 
 def _blocks(material: Material, measure: SampledMeasure, mission: MissionCourses) -> Iterator[Block]:
-    left_out = len(material.order) - len(mission.order)
+    groups = _shown_groups(material)
+    left_out = len(material.order) - len(groups)
     if left_out:
-        shown = f"Shown are {listed(mission.order)}; {counted(left_out, 'combination')} between them left out."
+        shown = f"Shown are {listed(groups)}; {counted(left_out, 'combination')} between them left out."
         yield Paragraph(shown, Tone.NOTE)
     yield course_chart(f"chart-{measure.source}-{measure.column}", mission)
     figures = Gallery(tuple(_figures(measure, mission)))

@@ -18,6 +18,7 @@ from robot_runner.analysis.wording import (
     shown_number,
     with_unit,
 )
+from robot_runner.core.design.analysis_plan import Estimand
 
 if TYPE_CHECKING:
     from robot_runner.analysis.report.material import Material
@@ -61,23 +62,25 @@ def _left_out_table(measure: MeasureStatistics, label: str) -> Table:
 
 def _adjustment(measure: MeasureStatistics, found: Adjustment, label: str) -> Iterator[Block]:
     yield _slope_table(measure, found.slopes, label)
+    is_of_ranks = measure.test is not None and measure.test.estimand == Estimand.RANK.value
     fields = (
         text("Treatment", "label"),
         number("Mean", "mean"),
         number("Adjusted mean", "adjusted"),
         interval("CI", "interval"),
     )
-    caption = f"{label}: means as measured, and at the mean of the covariates."
+    what = "mean relative ranks" if is_of_ranks else "means"
+    caption = f"{label}: {what} as measured, and at the mean of the covariates."
     about = about_intervals(each.interval for each in found.means)
     note = f"{about}Each combination counts the same."
     if not about:
         note += " Within blocks only differences have an interval."
     table = build_table(f"adjusted {measure.name}", caption, found.means, fields, note)
     yield table.without_blank("CI")
-    spreads = (with_unit(each, difference_unit(measure.unit), 3) for each in (found.spread, found.residual_spread))
-    yield Paragraph(
-        "The standard deviation is {} as measured, {} once adjusted for covariates.".format(*spreads), Tone.NOTE
-    )
+    unit, of_ranks = ("", " of relative ranks") if is_of_ranks else (difference_unit(measure.unit), "")
+    spread, left = (with_unit(each, unit, 3) for each in (found.spread, found.residual_spread))
+    told = f"The standard deviation{of_ranks} is {spread} as measured, {left} once adjusted for covariates."
+    yield Paragraph(told, Tone.NOTE)
     for warning in found.warnings:
         yield Paragraph(warning, Tone.WARNING)
 

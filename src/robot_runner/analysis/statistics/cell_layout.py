@@ -119,6 +119,11 @@ class Layout:
         return len(self.sizes) * self.factors.only(self.within).count
 
     @property
+    def has_gaps(self) -> bool:
+        """Whether combinations are listed, and some of the possible ones have no runs."""
+        return self.inverse is not None and self.cells < self.factors.count
+
+    @property
     def missing_for_ranks(self) -> str:
         """What is missing for comparing the ranks of a single factor; empty if nothing is."""
         fewest = _FEWEST_RANKED[self.cells > _PAIR]

@@ -180,7 +180,7 @@ class CellMeans:
         return self._contrast(np.sum([each * self.layout.weights(dict(of)) for of, each in weights], axis=0))
 
     def _contrast(self, weights: Floats) -> Contrast:
-        is_few = self.layout.inverse is not None and int(self.layout.sizes.min()) == _PAIR
+        is_few = self.layout.has_gaps and int(self.layout.sizes.min()) == _PAIR
         return contrast(self.moments, weights, is_corrected=is_few)
 
     def _test(self, effect: EffectContrast) -> EffectTest:

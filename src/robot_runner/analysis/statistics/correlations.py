@@ -16,7 +16,7 @@ from scipy import stats
 from robot_runner.analysis.arrays import Floats, Numbers
 from robot_runner.analysis.statistics.analysed_design import PLACE, VALUE, MeasureData
 from robot_runner.analysis.statistics.descriptive import are_equal, quiet
-from robot_runner.analysis.statistics.designed_columns import grouped, residuals_of
+from robot_runner.analysis.statistics.designed_columns import grouped, residuals_from, residuals_of
 from robot_runner.analysis.statistics.effect_sizes import correlation_magnitude
 from robot_runner.analysis.statistics.outcome import Correlation, Drift
 from robot_runner.analysis.statistics.post_hoc import adjusted
@@ -152,11 +152,12 @@ def drift_of(data: MeasureData, alpha: float, unit: str = "", *, is_ordered: boo
         unit: the measure's unit, for the sentence.
         is_ordered: whether the order of execution is known; else the sentence names the order of the table.
     """
-    what, within = "drift over the order of execution", tuple(grouped(data))
-    places, freedom = data.frame[PLACE].to_numpy(dtype=np.float64), len(data.frame) - 1
+    what = "drift over the order of execution"
+    places = executed = data.frame[PLACE].to_numpy(dtype=np.float64)
+    # Combinations and blocks differ in their mean place as well: the order is adjusted by the same model as the values.
+    left, freedom = residuals_of(data, executed)
+    within = (tuple(grouped(data)) or ("treatments",)) if freedom < len(executed) - 1 else ()
     if within:
-        # Blocks differ in their mean place as well: the order is adjusted by the same model as the values.
-        left, freedom = residuals_of(data, places)
         places = np.round(left - left.min(), _DIGITS) + 1
     if freedom + 1 < _DRIFT_LEAST:
         more = ", in addition to those that its model takes" if within else ""
@@ -164,7 +165,7 @@ def drift_of(data: MeasureData, alpha: float, unit: str = "", *, is_ordered: boo
     order = np.argsort(places, kind="stable")
     places, residuals = places[order], residuals_of(data)[0][order]
     if np.ptp(places) < _SAME_PLACE:
-        return NotComputed(what, "the model takes out what tells the order, such as rows and columns.")
+        return NotComputed(what, "the model takes out what tells the order, such as rows, columns and covariates.")
     if _is_flat(residuals, data.values):
         return NoVariation(what, "within each combination all values are equal.")
     step = _TIED * float(np.max(np.abs(residuals)))
@@ -180,7 +181,7 @@ def drift_of(data: MeasureData, alpha: float, unit: str = "", *, is_ordered: boo
     over = "order of execution" if is_ordered else "order of the table, which may be another than that of execution,"
     over += f" within {enumerated(within)}" if within else ""
     is_significant = bool(p_value < alpha)
-    is_confounded = _are_treatments_uneven(data, dict(zip(order, places, strict=True)), alpha)
+    is_confounded = _are_treatments_uneven(data, executed, alpha)
     return Drift(
         places=tuple(map(round, places.tolist())),
         residuals=tuple(map(float, residuals)),
@@ -196,12 +197,19 @@ def drift_of(data: MeasureData, alpha: float, unit: str = "", *, is_ordered: boo
     )
 
 
-def _are_treatments_uneven(data: MeasureData, places: Mapping[int, float], alpha: float) -> bool:
-    """Return whether some treatments were executed earlier than others (Kruskal-Wallis test of the places)."""
-    by_row = pd.Series(places).sort_index()
-    by_factor = (by_row.groupby(data.frame[factor], observed=True) for factor in data.factors)
-    with quiet():
-        return any(stats.kruskal(*(rows.to_numpy() for _, rows in places)).pvalue < alpha for places in by_factor)
+def _are_treatments_uneven(data: MeasureData, places: Floats, alpha: float) -> bool:
+    """Return whether some treatments were executed earlier than others, within blocks and the like.
+
+    This is the test of Kruskal and Wallis; in complete blocks that of Friedman.
+    """
+    left, freedom = residuals_from(grouped(data).values(), (), places)
+    for factor in data.factors:
+        treatments = pd.Series(left).groupby(data.frame[factor].to_numpy(), observed=True)
+        with quiet():  # one run in each block
+            statistic = freedom * np.sum(treatments.transform("mean") ** 2) / np.sum(left**2)
+        if stats.chi2.sf(statistic, treatments.ngroups - 1) < alpha:
+            return True
+    return False
 
 
 def _warning(measure: str, unit: str, found: tuple[float, float, float], is_confounded: bool, order: str) -> str:

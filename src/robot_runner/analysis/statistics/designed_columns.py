@@ -77,7 +77,7 @@ def grouped(data: MeasureData) -> dict[str, NDArray[np.str_]]:
 def _leave_freedom(data: MeasureData) -> bool:
     """Return whether combinations and blocks leave degrees of freedom, or all combinations differ within blocks."""
     cells, number = _cells(data), len(data.frame)
-    _, freedom = _residuals_from([cells, data.blocks], (), np.zeros(number))
+    _, freedom = residuals_from([cells, data.blocks], (), np.zeros(number))
     return freedom > 0 or number - freedom == len(set(cells)) + len(set(data.blocks)) - 1
 
 
@@ -89,9 +89,7 @@ def _cells(data: MeasureData) -> NDArray[np.str_]:
     return _texts(data.frame.groupby(list(data.factors), observed=True).ngroup())
 
 
-def _residuals_from(
-    groups: Iterable[NDArray[np.str_]], columns: Sequence[Floats], values: Floats
-) -> tuple[Floats, int]:
+def residuals_from(groups: Iterable[NDArray[np.str_]], columns: Sequence[Floats], values: Floats) -> tuple[Floats, int]:
     """Return the least-squares residuals of values from groups and columns of any rank, and their degrees of freedom.
 
     For the grouping with the most groups, means are subtracted, so that only the others need columns.
@@ -117,7 +115,7 @@ def residuals_of(data: MeasureData, values: Floats | None = None) -> tuple[Float
     values = data.values if values is None else values  # noqa: PD011 - no data frame
     beside, groups = _covariates(data), grouped(data)
     if data.known.is_plain:
-        return _residuals_from([_cells(data), *groups.values()], beside, values)
+        return residuals_from([_cells(data), *groups.values()], beside, values)
     return _fitted(data, groups, beside, values)[1]
 
 
@@ -155,11 +153,11 @@ def _fitted(
 ) -> tuple[ModelEffects, tuple[Floats, int]]:
     """Return the effects of a design's model, without interactions if runs are too few, and the residuals."""
     effects = _effects(data, np.column_stack([np.ones(len(values)), *map(_dummies, groups.values()), *beside]))
-    found = _residuals_from(groups.values(), [*beside, *effects.columns], values)
+    found = residuals_from(groups.values(), [*beside, *effects.columns], values)
     if found[1] > 0:
         return effects, found
     effects = effects.without_interactions
-    return effects, _residuals_from(groups.values(), [*beside, *effects.columns], values)
+    return effects, residuals_from(groups.values(), [*beside, *effects.columns], values)
 
 
 def _covariates(data: MeasureData) -> list[Floats]:

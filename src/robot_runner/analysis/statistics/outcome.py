@@ -123,18 +123,18 @@ class Proportions:
 class Drift:
     """The drift of a measure over the order of execution, such as by the battery or the room.
 
-    The residuals from the model of the design are correlated with the place in the order of execution; within blocks,
-    if the model has blocks.
+    The residuals from the model of the design are correlated with those of the place in the order of execution: within
+    treatments, and within blocks if the model has blocks.
 
     Attributes:
-        places: the place of each run in the order of execution, from 1; `residuals` and `run_ids` have the same order.
-            Within blocks, it is the residual of the place from the model, rounded, from 1.
+        places: the residual of each run's place from the model, rounded, from 1; of a single treatment, the place in
+            the order of execution. `residuals` and `run_ids` have the same order.
         correlation: Spearman's rho.
         slope: Theil-Sen slope, in the measure's unit per run.
         is_significant: whether the drift is significant at alpha.
         is_confounded: whether treatments are unevenly spread over the order, so that drift may look like an effect.
         warning: a sentence for readers; empty without a significant drift.
-        within: the names of the blocks within which places are compared.
+        within: the names of the blocks, or `treatments`, within which places are compared; empty for one treatment.
     """
 
     places: tuple[int, ...]

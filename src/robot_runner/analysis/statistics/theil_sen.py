@@ -74,15 +74,17 @@ def _slopes_of_ranks(places: Floats, values: Floats, ranks: tuple[int, ...]) -> 
     order = np.lexsort((values, places))  # pairs at the same place never decrease, whatever the line
     places, values = places[order], values[order]
     centred = values - np.median(values)  # for values far from 0, a line would be lost in rounding
-    gaps = np.diff(places)
-    rise = float(np.ptp(values)) or 1.0
-    reach, precision = 2 * rise / float(gaps[gaps > 0].min()), _PRECISION * rise / float(np.ptp(places))
+    steepness = (float(np.ptp(values)) or 1.0) / float(np.ptp(places))
+    precision = _PRECISION * steepness
 
     def beyond(slope: float, rank: int) -> float:
         return _falling(centred - slope * places) - rank - 0.5
 
     found = {}
     for rank in set(ranks):
+        reach = steepness
+        while not beyond(-reach, rank) < 0 < beyond(reach, rank):  # which it is once no pair is steeper
+            reach *= 8
         near = optimize.brentq(beyond, -reach, reach, (rank,), xtol=precision, maxiter=_MOST_STEPS)
         # After a line with its slope is subtracted, both values of a pair are equal, and so neighbours.
         beside = np.argsort(centred - near * places, kind="stable")
