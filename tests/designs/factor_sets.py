@@ -9,7 +9,7 @@ import pytest
 from hypothesis import strategies as st
 
 from robot_runner import Factor, Range, RunTableModel
-from robot_runner.core.design.factor import full_factorial
+from robot_runner.core.design.full_factorial import full_factorial
 from robot_runner.core.errors import DesignError
 
 if TYPE_CHECKING:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import time
-from itertools import combinations
+from functools import reduce
+from itertools import combinations, product
+from operator import xor
 
 import numpy as np
 import pyDOE3
@@ -26,6 +28,25 @@ SMALLEST = {
 #: Where the greedy choice of generators takes twice as many, of resolution five.
 LARGER = {22: 512, 23: 512, 30: 1024, 33: 1024}
 
+#: Words of three and of four letters in the defining relation of the fractions of minimum aberration, by their runs
+#: and factors (Chen, Sun & Wu 1993, International Statistical Review 61, 131-145).
+LEAST_ALIASED = {
+    16: {9: (4, 14), 10: (8, 18), 11: (12, 26), 12: (16, 39), 13: (22, 55), 14: (28, 77), 15: (35, 105)},
+    32: {7: (0, 1), 8: (0, 3), 9: (0, 6), 10: (0, 10), 11: (0, 25), 12: (0, 38), 13: (0, 55), 16: (0, 140)},
+    64: {8: (0, 0), 9: (0, 1), 10: (0, 2), 11: (0, 4), 12: (0, 6), 13: (0, 14)},
+}
+NAMES_OF_MANY = [f"F{place}" for place in range(16)]
+
+
+def short_words(words: list[int]) -> tuple[int, int]:
+    """Return how many words of three and of four letters the defining relation has."""
+    basic = max(words).bit_length()
+    lengths = [0] * (len(words) + 1)
+    for chosen in product((False, True), repeat=len(words) - basic):
+        generated = [word for word, is_chosen in zip(words[basic:], chosen, strict=True) if is_chosen]
+        lengths[len(generated) + reduce(xor, generated, 0).bit_count()] += 1
+    return lengths[3], lengths[4]
+
 
 def signs(model: RunTableModel) -> np.ndarray:
     return np.array(
@@ -40,6 +61,25 @@ def test_a_fraction_is_as_small_as_the_published_one(resolution: int, factors: i
     model = RunTableModel(factors_of([2] * factors), design=FractionalFactorial(resolution=resolution))
     assert len(model.plan()) == runs
     assert model.design_facts["resolution"] >= resolution
+
+
+@pytest.mark.parametrize(
+    ("runs", "factors", "published"),
+    [(runs, factors, words) for runs, of in LEAST_ALIASED.items() for factors, words in of.items()],
+)
+def test_no_fewer_short_words_alias_main_effects_and_interactions_in_the_published_fractions(
+    runs: int, factors: int, published: tuple[int, int]
+) -> None:
+    assert short_words(FractionalFactorial(runs=runs)._words(NAMES_OF_MANY[:factors])) == published
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("runs", "factors"), [*((16, each) for each in range(6, 16)), (32, 7), (32, 8)])
+def test_no_fraction_of_this_size_has_fewer_short_words(runs: int, factors: int) -> None:
+    basic = [1 << place for place in reversed(range(runs.bit_length() - 1))]
+    others = [word for word in range(1, runs) if word not in basic]
+    every = (short_words([*basic, *chosen]) for chosen in combinations(others, factors - len(basic)))
+    assert short_words(FractionalFactorial(runs=runs)._words(NAMES_OF_MANY[:factors])) == min(every)
 
 
 @pytest.mark.parametrize(("factors", "runs"), LARGER.items())

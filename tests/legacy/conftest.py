@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-    from robot_runner.core.execution.recovery import Resumption
+    from robot_runner.core.execution.resumption import Resumption
 
 
 @pytest.fixture

@@ -13,7 +13,7 @@ from robot_runner.core.config.preparation import prepare
 from robot_runner.core.design.columns import RUN_ID
 from robot_runner.core.errors import ExecutionError, RobotRunnerError
 from robot_runner.core.execution.experiment_status import read_status
-from robot_runner.core.execution.recovery import Resumption
+from robot_runner.core.execution.resumption import Resumption
 from robot_runner.core.storage.cells import RunStatus
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.run_table_reading import read_run_table

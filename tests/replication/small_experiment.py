@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from robot_runner.core.config.preparation import prepare_or_refuse
 from robot_runner.core.execution.notices import SilentObserver
 from robot_runner.core.execution.orchestrator import execute_experiment
+from robot_runner.core.execution.resumption import Resumption
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -106,3 +107,33 @@ def home(folder: Path) -> Iterator[None]:
             del os.environ["HOME"]
         else:
             os.environ["HOME"] = before
+
+
+#: An experiment of two runs whose config has nothing else.
+CHANGING = """\
+from robot_runner import ExperimentConfig, Factor, RunProcess, RunTableModel
+
+
+class RobotRunnerConfig(ExperimentConfig):
+    experiment_name = "changing"
+    results_output_path = "results"
+    run_process = RunProcess.IN_PROCESS
+
+    def create_run_table(self):
+        return RunTableModel([Factor("Task", ["Video", "Network"])], data_columns=["Score"])
+
+    def populate_run_data(self, context):
+        return {"Score": 1.0}
+"""
+
+
+def changed_between_its_runs(folder: Path) -> Path:
+    """Execute an experiment whose config is changed between its first run and its second; return its folder."""
+    config = folder / "changing.py"
+    config.write_text(CHANGING, encoding="utf-8")
+    with own_modules():
+        execute_experiment(prepare_or_refuse(config), SilentObserver(), resumption=Resumption(only=("r_1",)))
+    config.write_text(f"# Measured anew.\n{CHANGING.replace('1.0', '2.0')}", encoding="utf-8")
+    with own_modules():
+        execute_experiment(prepare_or_refuse(config), SilentObserver(), resumption=Resumption(accept_changes=True))
+    return folder / "results" / "changing"

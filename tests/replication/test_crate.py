@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 import rocrate
 from frictionless import Resource, system
-from tests.replication.small_experiment import own_modules, write_config
+from tests.replication.small_experiment import changed_between_its_runs, own_modules, write_config
 
 with warnings.catch_warnings():
     warnings.simplefilter("ignore")
@@ -116,6 +116,15 @@ def test_each_run_is_an_action_that_executed_the_config_with_its_treatments(unpa
         assert {"@id": f"runs/{row['run_id']}/"} in action["result"]
         assert action["startTime"] < action["endTime"]
     assert {"@id": "#run-r_1"} in entities["./"]["mentions"]
+
+
+@pytest.mark.long
+def test_a_run_was_executed_by_the_version_of_the_config_that_executed_it(tmp_path, issues):
+    packed = pack(changed_between_its_runs(tmp_path), tmp_path / "changing.zip", Packing(with_wheels=False))
+    graph = json.loads(zipfile.ZipFile(packed.path).read("ro-crate-metadata.json"))["@graph"]
+    instruments = {each["@id"]: each["instrument"]["@id"] for each in graph if each["@id"].startswith("#run-")}
+    assert instruments == {"#run-r_1": "earlier_configs/1/changing.py", "#run-r_2": "config/changing.py"}
+    assert not [each for each in issues(packed.path, "workflow-run-crate") if "instrument" in each]
 
 
 @pytest.mark.long

@@ -54,6 +54,29 @@ def test_of_the_archive_that_a_distribution_was_installed_from_the_sha_256_is_ta
     assert InstalledDistribution("a", "1", distribution).archive_sha256 == sha256
 
 
+@pytest.mark.parametrize(
+    ("direct", "requirement"),
+    [
+        (
+            {"url": "https://example.org/lab.git", "vcs_info": {"vcs": "git", "commit_id": "c0ffee"}},
+            "lab-tools @ git+https://example.org/lab.git@c0ffee#subdirectory=python/tools",
+        ),
+        (
+            {"url": "https://example.org/lab.tar.gz", "archive_info": {}},
+            "lab-tools @ https://example.org/lab.tar.gz#subdirectory=python/tools",
+        ),
+    ],
+)
+def test_what_was_installed_from_a_folder_of_a_repository_is_required_from_that_folder(
+    tmp_path, monkeypatch, direct, requirement
+):
+    notes = {"direct_url.json": json.dumps({**direct, "subdirectory": "python/tools"})}
+    installed = InstalledDistribution("lab-tools", "1.0", SimpleNamespace(read_text=notes.get))
+    monkeypatch.setattr(environment, "installed_distributions", lambda: {"lab-tools": installed})
+    recorded = record_environment({"software": {"packages": {"lab-tools": "1.0"}}}, tmp_path)
+    assert recorded.packages["lab-tools"].requirement == requirement
+
+
 @pytest.mark.long
 def test_what_the_program_needs_is_told_from_what_happens_to_be_installed(manifest, tmp_path):
     (tmp_path / "config.py").write_text("import pexpect\n", encoding="utf-8")
@@ -332,3 +355,16 @@ def test_the_program_of_another_environment_closes_its_run_where_who_started_it_
         wait_until(lambda: Path(f"{told}.begun").exists(), "it was started")
         starter.kill()
     wait_until(told.exists, "it was told to end")
+
+
+def test_a_wheel_that_a_killed_replication_left_does_not_keep_the_next_from_making_its_environment(
+    tmp_path, monkeypatch
+):
+    monkeypatch.setattr(virtual_environments, "wheel_of", lambda _: {"tiny-1.dist-info/METADATA": Path(__file__)})
+    installed = []
+    monkeypatch.setattr(virtual_environments, "_make", lambda *asked: installed.append(zipfile.is_zipfile(left)))
+    left = tmp_path / wheel_name(installed_distributions()["robot-runner"])
+    left.write_bytes(b"half of a wheel")
+    virtual_environments.make_comparison_environment(tmp_path / "comparison")
+    assert installed == [True]
+    assert not left.exists()

@@ -8,13 +8,18 @@ from pathlib import Path
 import pytest
 from tests.analysis.experiment_folders import two_tasks
 from tests.analysis.importing.foreign_folder import make_earlier_folder
-from tests.replication.small_experiment import CONFIG
+from tests.replication.small_experiment import CHANGING, CONFIG, changed_between_its_runs, own_modules
 
 from robot_runner.analysis.importing.adoption import adopt
 from robot_runner.analysis.importing.description import ImportDescription
 from robot_runner.analysis.importing.understanding import understand
+from robot_runner.core.config.preparation import prepare
 from robot_runner.core.errors import StorageError
+from robot_runner.core.execution.notices import SilentObserver
+from robot_runner.core.execution.orchestrator import execute_experiment
+from robot_runner.core.execution.resumption import Resumption
 from robot_runner.core.storage.journal import Journal
+from robot_runner.core.storage.manifest import read_manifest, write_manifest
 from robot_runner.replication.config_lines import ConfigLines
 from robot_runner.replication.explanation import explain_run
 
@@ -139,6 +144,14 @@ def test_a_column_that_somebody_added_by_hand_is_told_as_that_and_as_no_measure(
     assert facts == {"From": "a column that somebody added to run_table.csv by hand"}
 
 
+def test_an_empty_treatment_is_not_told_to_be_missing(tmp_path):
+    two_tasks(tmp_path / "made", (1.0, 2.0), (3.0, 4.0), name="made")
+    table = tmp_path / "made" / "run_table.csv"
+    table.write_text(table.read_text("utf-8").replace("Video", ""), encoding="utf-8")
+    value, _ = _facts(tmp_path / "made", "r_1", "Task")
+    assert (value.role, value.value) == ("factor", "")
+
+
 @pytest.mark.parametrize(("run", "name", "near"), [("r_11", "Energy", "'r_1'"), ("r_1", "Enrgy", "'Energy'")])
 def test_what_is_not_there_is_named_with_the_nearest(experiment, run, name, near):
     with pytest.raises(StorageError) as refused:
@@ -181,7 +194,7 @@ def lines(tmp_path):
     (tmp_path / "config").mkdir()
     (tmp_path / "config" / "a_helper.py").write_text(HELPER, encoding="utf-8")
     (tmp_path / "config" / "config.py").write_text(BASED, encoding="utf-8")
-    return ConfigLines(tmp_path, {"file": "config.py", "class": "RobotRunnerConfig"})
+    return ConfigLines(tmp_path, tmp_path / "config", {"file": "config.py", "class": "RobotRunnerConfig"})
 
 
 def test_the_line_of_a_callback_is_that_of_the_config_or_of_its_base_class(lines):
@@ -194,6 +207,20 @@ def test_the_line_of_a_callback_is_that_of_the_config_or_of_its_base_class(lines
 def test_the_line_of_a_measure_is_in_the_method_that_yields_it(lines):
     assert lines.of_measure("Energy").startswith("config/config.py:11  ")
     assert lines.of_measure("Early").startswith("config/a_helper.py:10  ")
+
+
+def test_the_line_of_a_measure_that_no_method_names_is_in_the_function_that_does(tmp_path):
+    (tmp_path / "config").mkdir()
+    (tmp_path / "config" / "laps.py").write_text(
+        "def names():\n    return ['Laps']\n\n\ndef count(context):\n    context.publish('Laps', 3)\n", encoding="utf-8"
+    )
+    code = BASED.replace("return {", "laps.count(context); return {").replace(
+        "from a_helper", "import laps\nfrom a_helper"
+    )
+    (tmp_path / "config" / "config.py").write_text(code, encoding="utf-8")
+    lines = ConfigLines(tmp_path, tmp_path / "config", {"file": "config.py", "class": "RobotRunnerConfig"})
+    assert lines.of_measure("Laps") == "config/laps.py:5  def count(context):"
+    assert lines.of_measure("of_a_computed_name").startswith("config/config.py:12  def populate_run_data")
 
 
 def test_the_line_of_a_factor_is_the_one_that_makes_it(lines):
@@ -211,7 +238,8 @@ def test_a_config_that_is_its_own_base_or_nested_beyond_measure_is_explained_all
     circle = "class A(B): ...\nclass B(A):\n    def start_run(self): ...\n"
     (tmp_path / "config" / "a.py").write_text(circle, encoding="utf-8")
     (tmp_path / "config" / "b.py").write_text(f"x = {'-' * 100_000}1\n", encoding="utf-8")
-    assert ConfigLines(tmp_path, {"file": "a.py", "class": "A"}).of_method("start_run").startswith("config/a.py:3  ")
+    found = ConfigLines(tmp_path, tmp_path / "config", {"file": "a.py", "class": "A"})
+    assert found.of_method("start_run").startswith("config/a.py:3  ")
 
 
 @pytest.mark.parametrize(
@@ -289,3 +317,61 @@ def test_the_host_is_that_of_the_execution_in_which_the_run_was_executed(tmp_pat
     with Journal(folder.files.journal) as journal:
         journal.append("attempt_started", run="r_1", attempt=2)
     assert dict(explain_run(folder.root, "r_1").facts)["Host"] == "Cortex Linux, Python 3.13.1"
+
+
+@pytest.fixture
+def changed(tmp_path):
+    return changed_between_its_runs(tmp_path)
+
+
+def test_the_line_is_that_of_the_config_that_executed_the_run(changed):
+    value, facts = _facts(changed, "r_1", "Score")
+    assert (value.value, facts["Config"]) == (
+        1.0,
+        "earlier_configs/1/changing.py:12  def populate_run_data(self, context):",
+    )
+    assert _facts(changed, "r_1", "Task")[1]["Config"].startswith("earlier_configs/1/changing.py:10  ")
+    value, facts = _facts(changed, "r_2", "Score")
+    assert (value.value, facts["Config"]) == (2.0, "config/changing.py:13  def populate_run_data(self, context):")
+
+
+def test_where_nothing_tells_which_config_executed_a_run_no_line_is_named(changed):
+    manifest = read_manifest(changed / "manifest.json")
+    for execution in manifest["executions"]:
+        del execution["config_number"]  # as of an earlier version
+    write_manifest(changed / "manifest.json", manifest)
+    explained = explain_run(changed, "r_1", ["Score"])
+    assert "Config" not in dict(explained.values[0].facts)
+    assert dict(explained.facts)["Config"] == (
+        "changed between two executions, and it is not recorded which of config/ and earlier_configs/ executed the run"
+    )
+
+
+def test_a_plugin_that_was_added_later_is_told_with_its_class_and_its_line(tmp_path):
+    config = tmp_path / "changing.py"
+    config.write_text(CHANGING, encoding="utf-8")
+    with own_modules():
+        execute_experiment(prepare(config).experiment, SilentObserver(), resumption=Resumption(only=("r_1",)))
+    added = """\
+from robot_runner.plugins import Measure, Profiler
+
+
+class Odometer(Profiler):
+    measures = (Measure("Laps", "1"),)
+
+    def populate_run_data(self, context):
+        context.publish("Laps", 3)
+
+
+"""
+    table = CHANGING.replace("    run_process", '    plugins = [Odometer(name="wheel")]\n    run_process')
+    config.write_text(f"{added}{table}", encoding="utf-8")
+    with own_modules():
+        execute_experiment(prepare(config).experiment, SilentObserver(), resumption=Resumption(accept_changes=True))
+    _, facts = _facts(tmp_path / "results" / "changing", "r_2", "Laps")
+    assert facts["Plugin"] == "wheel, Odometer"
+    assert facts["Config"] == 'config/changing.py:17  plugins = [Odometer(name="wheel")]'
+
+
+def test_of_a_plugin_that_is_not_known_no_line_is_named(lines):
+    assert lines.of_plugin("wheel", "") == ""

@@ -26,6 +26,7 @@ from robot_runner.analysis.importing.understanding import understand
 from robot_runner.core.config.authors import Author
 from robot_runner.core.errors import PackageError
 from robot_runner.core.storage.lock import ExperimentLock
+from robot_runner.replication.about import About, readme
 from robot_runner.replication.contents import Contents, choose_contents, fault_of_name
 from robot_runner.replication.opening import open_package
 from robot_runner.replication.packing import pack
@@ -230,10 +231,10 @@ def test_results_that_were_imported_are_not_said_to_be_executed_with_robot_runne
     for name in ("README.md", ".zenodo.json", "CITATION.cff", "ro-crate-metadata.json", "datapackage.json"):
         assert "executed with Robot Runner" not in _text(packed.path, name), name
         assert "Robot Runner executed" not in _text(packed.path, name), name
-    readme = _text(packed.path, "README.md")
-    assert "imported into Robot Runner" in readme
-    assert "nobody can execute it again" in readme
-    assert "robot-runner replicate" not in readme
+    told = _text(packed.path, "README.md")
+    assert "imported into Robot Runner" in told
+    assert "nobody can execute it again" in told
+    assert "robot-runner replicate" not in told
     crate = json.loads(_text(packed.path, "ro-crate-metadata.json"))["@graph"]
     (action,) = (each for each in crate if each["@type"] == "CreateAction")
     assert action["name"] == "Import of earlier"
@@ -410,3 +411,12 @@ def test_the_table_of_the_package_has_every_run(packed):
 def test_a_name_that_no_disk_takes_is_no_name_of_a_package(name):
     assert fault_of_name(name) == "the file's name is longer, or in more folders, than a disk takes"
     assert fault_of_name(name[: len(name) // 3]) is None
+
+
+def test_the_inventory_names_what_else_stood_in_the_folder_and_the_runs_of_an_earlier_tool() -> None:
+    names = ["run_table.csv", "config/a.py", "earlier_configs/1/a.py", "earlier_attempts/r_1/1/log.txt", "notes.txt"]
+    about = About("naps", (), None, None, "2026-01-31T12:00:00Z")
+    text = readme(about, {}, [*names, *(f"run_{place}/log.txt" for place in range(9))], ())
+    assert "| `earlier_configs/` | the config as it was executed before it was changed, numbered in order |\n" in text
+    assert "| `earlier_attempts/` | the raw data and the log of attempts that were executed again |\n" in text
+    assert "| `notes.txt`, `run_0/`, `run_1/`, `run_2/` and 6 more | runs of an earlier tool" in text

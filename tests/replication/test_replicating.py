@@ -11,14 +11,16 @@ from pathlib import Path
 
 import pytest
 from tests.analysis.experiment_folders import two_tasks
+from tests.legacy.earlier_configs import RUNNER, SHORT_TABLE
 from tests.replication.small_experiment import SECRET, execute, own_modules, write_config
 
 from robot_runner.cli.extension import ExtensionRequest, extend_experiment
 from robot_runner.core.config.preparation import prepare
-from robot_runner.core.design.growing import Additions
+from robot_runner.core.design.extended_design import Additions
 from robot_runner.core.errors import ConfigError, PackageError
 from robot_runner.core.execution.notices import SilentObserver
 from robot_runner.core.execution.orchestrator import execute_experiment
+from robot_runner.core.execution.resumption import Resumption
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.manifest import read_manifest
 from robot_runner.core.storage.run_table_reading import read_run_table
@@ -229,6 +231,51 @@ def test_modules_in_a_folder_that_the_config_adds_to_the_path_are_none_that_have
     )
     (finding,) = missing_modules(tmp_path, {})
     assert "of_nobody" in finding.problem
+
+
+def test_that_the_config_was_changed_while_the_original_was_executed_is_said(tmp_path: Path) -> None:
+    config = tmp_path / "growing.py"
+    config.write_text(GROWING, encoding="utf-8")
+    experiment = prepare(config).experiment
+    execute_experiment(experiment, SilentObserver(), resumption=Resumption(only=("r_1",)))
+    config.write_text(GROWING.replace("context.run_number", "7 * context.run_number"), encoding="utf-8")
+    experiment = prepare(config).experiment
+    execute_experiment(experiment, SilentObserver(), resumption=Resumption(accept_changes=True))
+    (told,) = prepare_replication(tmp_path / "results/growing", tmp_path / "again", {}).findings
+    assert told.problem == (
+        "the config was changed while the original was executed: runs that were done before are executed by its last "
+        "version here"
+    )
+    assert "diff -r" in told.fix
+
+
+@pytest.mark.parametrize("head", ["", "import random\nrandom.seed(hash(__file__) % 1000)\n"])
+def test_a_shuffled_config_of_an_earlier_tool_is_replicated_from_its_seed(tmp_path: Path, head: str) -> None:
+    table = SHORT_TABLE.replace("[10, 20]", "list(range(30))").replace("data_columns", "shuffle=True, data_columns")
+    config = tmp_path / "study.py"
+    config.write_text(f"{head}{RUNNER}{table}", encoding="utf-8")
+    original = prepare(config, {"results_output_path": str(tmp_path / "results")}).experiment
+    execute_experiment(original, SilentObserver())
+    experiment, findings = prepare_replication(original.folder.root, tmp_path / "again", {})
+    assert [run.run_id for run in experiment.model.plan()] == [run.run_id for run in original.model.plan()]
+    assert (experiment.model.seed, experiment.model.seed_is_given) == (original.model.seed, bool(head))
+    assert not [finding.problem for finding in findings if "plans other runs" in finding.problem]
+    assert not experiment.folder.run_table.exists()  # the config plans it: it is none that was written by hand
+
+
+def test_a_module_that_the_config_can_do_without_need_not_be_installed(tmp_path: Path) -> None:
+    (tmp_path / "config").mkdir()
+    (tmp_path / "config" / "study.py").write_text(
+        "import sys\nfrom contextlib import suppress\nfrom typing import TYPE_CHECKING\n"
+        "try:\n    import faster_of_nobody\nexcept ImportError:\n    faster_of_nobody = None\n"
+        "with suppress(ImportError):\n    import prettier_of_nobody\n"
+        "if TYPE_CHECKING:\n    from types_of_nobody import Node\n"
+        "if sys.version_info >= (3, 8):\n    import json\nelse:\n    import older_of_nobody\n"
+        "def drive():\n    try:\n        import driver_of_nobody\n    except ModuleNotFoundError:\n        pass\n"
+        "    import wheels_of_nobody\n"
+    )
+    (finding,) = missing_modules(tmp_path, {})
+    assert "the config imports wheels_of_nobody" in finding.problem
 
 
 @pytest.mark.parametrize(

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import shutil
+from importlib.metadata import version
 from typing import TYPE_CHECKING
 
 import pytest
 
 from robot_runner.core.storage.layout import ExperimentFolder
+from robot_runner.replication.environment import record_environment
 from robot_runner.replication.packing import pack
 from robot_runner.replication.sealing import Packing
-from robot_runner.replication.unkept_files import unkept_files
+from robot_runner.replication.unkept_files import unkept_files, unkept_modules
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -99,3 +101,47 @@ def test_packing_warns_of_it(experiment: Path, tmp_path: Path) -> None:
         file.write('from pathlib import Path\nDISTANCES = (Path(__file__).parent / "distances.csv").read_text()\n')
     found = pack(study, tmp_path / "study.zip", Packing(with_wheels=False)).findings
     assert "the config needs distances.csv, which is not in the package" in str(found)
+
+
+def _modules_named(folder: Path, code: str, packages: dict[str, str], **manifest: object) -> list[str]:
+    config = folder / "config"
+    config.mkdir(exist_ok=True)
+    (config / "study.py").write_text(code, encoding="utf-8")
+    facts = {"software": {"robot_runner": version("robot-runner"), "packages": packages}, **manifest}
+    found = unkept_modules(ExperimentFolder(folder), record_environment(facts, config))
+    return [finding.problem for finding in found]
+
+
+def test_a_module_of_a_sourced_workspace_that_no_recorded_package_brings_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    place = tmp_path / "ws/install/lab_arm/lib/python3/site-packages"
+    (place / "lab_arm_of_ours").mkdir(parents=True)
+    (place / "lab_arm_of_ours/__init__.py").touch()
+    (place / "lab_arm_of_ours-0.3.0-py3.11.egg-info").mkdir()
+    monkeypatch.syspath_prepend(place)
+    (told,) = _modules_named(tmp_path, "import json\nimport rich\nfrom lab_arm_of_ours import Arm\n", {"rich": "1.0"})
+    assert told.startswith(f"the config imports lab_arm_of_ours, from {place / 'lab_arm_of_ours'}, which no package")
+
+
+def test_modules_beside_the_config_of_recorded_packages_or_of_the_distribution_of_ros_are_not_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "ros/rclpy_of_ros").mkdir(parents=True)
+    (tmp_path / "ros/rclpy_of_ros/__init__.py").touch()
+    (tmp_path / "config/src").mkdir(parents=True)
+    (tmp_path / "config/src/beside.py").touch()
+    monkeypatch.syspath_prepend(tmp_path / "ros")
+    monkeypatch.setattr("robot_runner.replication.unkept_files._ROS", tmp_path / "ros")
+    code = "import beside, yaml, robot_runner, rclpy_of_ros\ntry:\n    import cupy_of_nobody\nexcept ImportError: ...\n"
+    assert _modules_named(tmp_path, code, {"PyYAML": "6"}, ros={"version": 2}) == []
+    (told,) = _modules_named(tmp_path, code, {"PyYAML": "6"})
+    assert "rclpy_of_ros" in told
+
+
+def test_of_an_environment_that_is_elsewhere_nothing_is_said_of_modules_that_are_not_here(tmp_path: Path) -> None:
+    code = "import of_another_machine\n"
+    (told,) = _modules_named(tmp_path, code, {})
+    assert told.startswith("the config imports of_another_machine, which no package")
+    recorded = record_environment({"software": {"robot_runner": "0.0.7"}}, tmp_path / "config")
+    assert list(unkept_modules(ExperimentFolder(tmp_path), recorded)) == []

@@ -8,7 +8,8 @@ from importlib.util import find_spec
 from typing import Any, ClassVar
 
 from robot_runner.core.design.design import IsAllowed
-from robot_runner.core.design.factor import Combination, Factor, factor_name, factor_places, full_size
+from robot_runner.core.design.factor import Combination, Factor, factor_name, factor_places
+from robot_runner.core.design.full_factorial import full_size
 from robot_runner.core.design.numeric_range import is_whole
 from robot_runner.core.errors import Finding
 from robot_runner.core.words import INACTIVE

@@ -13,7 +13,8 @@ from typing import ClassVar
 
 from robot_runner.core.design.design import ChosenCombinations, IsAllowed
 from robot_runner.core.design.exclusions import Allowed
-from robot_runner.core.design.factor import Factor, full_factorial, full_size
+from robot_runner.core.design.factor import Factor
+from robot_runner.core.design.full_factorial import full_factorial, full_size
 from robot_runner.core.errors import DesignError, Finding
 from robot_runner.core.words import counted
 from robot_runner.designs.choosing import Described, at_places, library_findings, number_findings

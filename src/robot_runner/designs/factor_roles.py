@@ -9,7 +9,8 @@ from random import Random
 from typing import Any
 
 from robot_runner.core.design.design import IsAllowed
-from robot_runner.core.design.factor import Combination, Factor, factor_places, full_factorial
+from robot_runner.core.design.factor import Combination, Factor, factor_places
+from robot_runner.core.design.full_factorial import full_factorial
 from robot_runner.core.design.planned_runs import shuffle_in_place
 from robot_runner.core.errors import DesignError, Finding, did_you_mean
 

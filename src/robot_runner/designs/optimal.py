@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from robot_runner.core.design.design import ChosenCombinations, IsAllowed
 from robot_runner.core.design.design_findings import MAX_RUNS
-from robot_runner.core.design.factor import Factor, full_factorial, full_size
+from robot_runner.core.design.factor import Factor
+from robot_runner.core.design.full_factorial import full_factorial, full_size
 from robot_runner.core.errors import DesignError, Finding, did_you_mean
 from robot_runner.core.words import INACTIVE
 from robot_runner.designs import choosing

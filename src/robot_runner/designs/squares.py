@@ -8,7 +8,8 @@ from functools import cache, reduce
 from typing import Any, ClassVar, Final
 
 from robot_runner.core.design.design import DesignedRuns, IsAllowed
-from robot_runner.core.design.factor import Combination, Factor, factor_name, full_factorial
+from robot_runner.core.design.factor import Combination, Factor, factor_name
+from robot_runner.core.design.full_factorial import full_factorial
 from robot_runner.core.errors import Finding
 from robot_runner.designs.choosing import Described
 from robot_runner.designs.factor_roles import Roles, refused, role_findings, shuffled, texts_of_combination

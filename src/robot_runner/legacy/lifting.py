@@ -8,17 +8,18 @@ import re
 import sys
 import threading
 from collections.abc import Iterator, Mapping
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from pathlib import Path
 from random import Random
 from secrets import randbits
 from typing import Any, NoReturn
 
+from robot_runner.core.config.dialects import seed_of_original
 from robot_runner.core.config.loader import (
     LoadedConfig,
     apply_overrides,
     execute_source,
-    importable,
+    make_importable,
     raised_in,
     threads_since,
 )
@@ -134,22 +135,16 @@ class _Lifting:
     @contextmanager
     def executing(self, when: str) -> Iterator[None]:
         """Make the earlier tool's modules importable, and turn exceptions into a ConfigError."""
+        # Those beside the config come first, then those beside the tool's `__main__.py`.
+        for folder in (*reversed(clone_around(self._recognised.path).entries), self._recognised.path.parent):
+            make_importable(folder)
         with (
-            self._importable(),
             active_session(self.session),
             seeding_noted(self.session),
             self._stand_ins.present(),
             raised_in(self._recognised.path, when),
             exits_raised(),
         ):
-            yield
-
-    @contextmanager
-    def _importable(self) -> Iterator[None]:
-        """Make modules beside the config importable, and then those beside the tool's `__main__.py`."""
-        with ExitStack() as stack:
-            for folder in (*reversed(clone_around(self._recognised.path).entries), self._recognised.path.parent):
-                stack.enter_context(importable(folder))
             yield
 
     def load(self) -> None:
@@ -210,8 +205,8 @@ class _Lifting:
         )
 
     def _settle_seed(self, folder: ExperimentFolder | None) -> None:
-        """Take the seed with which the experiment began, if it has; else the config's own, or draw one."""
-        recorded = _recorded_seed(folder) if folder else None
+        """Take the seed with which the experiment or its original began, if it has; else the config's, or draw one."""
+        recorded = (_recorded_seed(folder) if folder else None) or seed_of_original()
         own = self.session.own_seed
         if recorded is None:
             self.session.seed = randbits(32) if own is None else own

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Self
 
 from robot_runner.core.config.authors import Author
 from robot_runner.core.errors import Finding, nearest
 from robot_runner.core.storage.manifest import last_execution
-from robot_runner.core.words import shown_commit
+from robot_runner.core.words import listed, shown_commit
 from robot_runner.replication.container import container_commands
 from robot_runner.replication.contents import CRATE, DESCRIBED, LICENCE, SUMS, LeftOut
 
@@ -174,17 +174,26 @@ def readme(about: About, manifest: Mapping[str, Any], names: Sequence[str], left
         "Imported": imported and f"{imported.get('at')} from {imported.get('table')} of {imported.get('from')}",
         "Commit of the config": shown_commit(last_execution(manifest).get("repository")),
     }
-    present = {*names, *(f"{name.partition('/')[0]}/" for name in names), CRATE, SUMS}
+    present = {*names, *(f"{name.partition('/')[0]}/" for name in names if "/" in name), CRATE, SUMS}
     commands = "\n".join(f"$ {command}" for command in container_commands(about.name, "."))
     text = _README.format(
         name=about.name,
         came_about=_came_about(manifest),
         facts="\n".join(f"- {what}: {text}" for what, text in facts.items() if text),
         replicating=_REPLICATING.format(commands=commands) if "config/" in present else _NO_CONFIG,
-        rows="\n".join(f"| `{name}` | {holds} |" for name, holds in DESCRIBED.items() if name in present),
+        rows="\n".join(_inventory(present)),
     )
     items = "\n".join(f"- `{each.name}`: {each.why}" for each in left_out)
     return text + (_NOT_IN_IT.format(items=items) if items else "")
+
+
+def _inventory(present: Collection[str]) -> Iterator[str]:
+    """Yield a row for each described file and folder, and one for all others in the experiment's folder."""
+    yield from (f"| `{name}` | {holds} |" for name, holds in DESCRIBED.items() if name in present)
+    others = sorted({name for name in present if "/" not in name.removesuffix("/")} - {*DESCRIBED, "environment/"})
+    if others:
+        named = listed(f"`{name}`" for name in others).replace("|", "\\|")
+        yield f"| {named} | runs of an earlier tool, and what else stood in the experiment's folder |"
 
 
 #: Stands in the place of a licence.

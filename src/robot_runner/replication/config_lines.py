@@ -10,6 +10,7 @@ from typing import Any
 
 from robot_runner.core.config.source import parsed
 from robot_runner.core.storage.guarded_files import read_text
+from robot_runner.core.storage.layout import ExperimentFolder
 
 #: Methods that name measures, but do not yield them.
 _DECLARING = frozenset({"__init__", "create_run_table"})
@@ -33,6 +34,25 @@ class _Source:
         return f"{self.name}:{number}  {self.lines[number - 1].strip()}"
 
 
+def executed_config(files: ExperimentFolder, execution: Mapping[str, Any]) -> Path | None:
+    """Return the folder with the config that an execution executed, which a later execution may have replaced.
+
+    Args:
+        files: the experiment's folder.
+        execution: the manifest's entry; empty for a run that was not executed.
+
+    Returns:
+        None if the config was replaced, and the manifest does not tell when.
+    """
+    if not execution or not files.earlier_configs.is_dir():
+        return files.config
+    number = execution.get("config_number")
+    if number is None:
+        return None
+    earlier = files.earlier_configs / str(number)
+    return earlier if earlier.is_dir() else files.config
+
+
 class ConfigLines:
     """The config file of an experiment and its local modules, read but not executed.
 
@@ -41,22 +61,24 @@ class ConfigLines:
 
     Example:
         >>> from pathlib import Path
-        >>> ConfigLines(Path("nowhere"), {"file": "study.py"}).of_factor("Task")
+        >>> ConfigLines(Path("nowhere"), Path("nowhere/config"), {"file": "study.py"}).of_factor("Task")
         ''
     """
 
-    def __init__(self, root: Path, config: Mapping[str, Any]) -> None:
-        """Read the folder `config` of an experiment's folder; files that do not parse are skipped.
+    def __init__(self, root: Path, folder: Path | None, config: Mapping[str, Any]) -> None:
+        """Read a folder of configs; files that do not parse are skipped.
 
         Args:
             root: the experiment's folder.
+            folder: the folder of the config and its local modules, in `root`; None if it is not known.
             config: the manifest's entry: the names of the config's file and class, if known.
 
         Raises:
             OSError: a file cannot be read.
         """
-        first = f"config/{config.get('file')}"
-        self._sources = tuple(sorted(_sources(root), key=lambda source: source.name != first))
+        first = folder / str(config.get("file")) if folder is not None else None
+        sources = () if folder is None else _sources(root, folder)
+        self._sources = tuple(sorted(sources, key=lambda source: root / source.name != first))
         self._methods = _methods_of(str(config.get("class")), self._sources)
 
     def of_factor(self, name: str) -> str:
@@ -69,8 +91,10 @@ class ConfigLines:
 
         Args:
             name: the plugin's.
-            kind: the name of its class.
+            kind: the name of its class; empty if it is not known.
         """
+        if not kind:
+            return ""
         # A call without a constant name may make this plugin; a call with another name does not.
         named = self._first(lambda node: _called(node) == kind and _keyword(node, "name") == name)
         made = named or self._first(lambda node: _called(node) == kind and _keyword(node, "name") is None)
@@ -81,9 +105,14 @@ class ConfigLines:
         usual = self._methods.get("populate_run_data")
         others = (method for called, method in self._methods.items() if called not in _DECLARING)
         within = (method for method in (usual, *others) if method is not None and _mentions(method[1], name))
-        found = next(within, usual)
+        found = next(within, None) or self._function_that_yields(name) or usual
         # Columns are named above the callbacks that fill them.
         return found[0].line(found[1]) if found else self._first(lambda node: _is_constant(node, name), -1)
+
+    def _function_that_yields(self, measure: str) -> tuple[_Source, ast.AST] | None:
+        """Return the function, of any file, that publishes a measure or puts it into a mapping by its name."""
+        every = ((source, node) for source in self._sources for node in source.nodes(_is_function))
+        return next((each for each in every if any(_yields(node, measure) for node in ast.walk(each[1]))), None)
 
     def of_method(self, name: str) -> str:
         """Return the first line of a method of the config's class, its own or that of a local base class."""
@@ -94,8 +123,8 @@ class ConfigLines:
         return next((source.line(found[place]) for source in self._sources if (found := source.nodes(matches))), "")
 
 
-def _sources(root: Path) -> Iterator[_Source]:
-    for path in sorted((root / "config").rglob("*.py")):
+def _sources(root: Path, folder: Path) -> Iterator[_Source]:
+    for path in sorted(folder.rglob("*.py")):
         text = read_text(path, root, errors="replace")
         try:
             tree = parsed(text)
@@ -128,6 +157,21 @@ def _is_constant(node: ast.AST, value: str) -> bool:
 
 def _mentions(node: ast.AST, value: str) -> bool:
     return any(_is_constant(each, value) for each in ast.walk(node))
+
+
+def _is_function(node: ast.AST) -> bool:
+    return isinstance(node, ast.FunctionDef) and node.name not in _DECLARING
+
+
+def _yields(node: ast.AST, measure: str) -> bool:
+    match node:
+        case ast.Dict(keys=names):
+            return any(each is not None and _is_constant(each, measure) for each in names)
+        case ast.Call(args=[name, *_]) if _called(node) == "publish":
+            return _is_constant(name, measure)
+        case ast.Subscript(slice=name, ctx=ast.Store()):
+            return _is_constant(name, measure)
+    return False
 
 
 def _name_of(node: ast.AST) -> str:

@@ -56,6 +56,8 @@ DESCRIBED = {
     "revisions/": "the commits that were compared, as repositories, and what was printed while they were built",
     "subjects/": "the output of software under test that went on through all runs",
     "config/": "the config, the local modules that it imports and the files that it reads, as executed",
+    "earlier_configs/": "the config as it was executed before it was changed, numbered in order",
+    "earlier_attempts/": "the raw data and the log of attempts that were executed again",
     "report/": "the report, with its tables and figures, and what computes its numbers again",
     MANIFEST: "the circumstances: host, versions, seed, what was set by hand",
     REGISTRATION: "what was registered before the first run: plan, design, seed, power, with a checksum",

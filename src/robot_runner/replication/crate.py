@@ -11,6 +11,7 @@ import json
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from importlib.metadata import PackageNotFoundError, metadata
+from pathlib import PurePosixPath
 from typing import Any
 from urllib.parse import quote
 
@@ -134,6 +135,8 @@ class _Crate:
         facts = {"name": file.name, "contentSize": str(file.size), "sha256": file.sha256, **self._format(file.name)}
         if file.name == self._workflow:
             return self._main_workflow(facts)
+        if re.fullmatch(rf"earlier_configs/\d+/{re.escape(PurePosixPath(self._workflow).name)}", file.name):
+            facts["@type"] = ["File", "SoftwareSourceCode"]  # what executed a run must be such
         about = self._crate.root_dataset if file.name == README else None
         return self._entity(file.name, "File", description=_described(file.name), about=about, **facts)
 
@@ -230,8 +233,20 @@ class _Crate:
         if self._workflow not in parts:
             return []
         folders = {run: self._crate.dereference(name) for name, run in self._run_folders.items()}
-        actions = RunActions(self._entity, parts[self._workflow], parts.get(TABLE))
+        actions = RunActions(self._entity, parts[self._workflow], parts.get(TABLE), self._earlier_configs(parts))
         return actions.describe(self._executed, folders, authors)
+
+    def _earlier_configs(self, parts: Mapping[str, Any]) -> dict[str, Any]:
+        """Return the config that executed a run, by the run's id, where it was changed since."""
+        executions, found = self._manifest.get("executions") or (), {}
+        for run in self._executed:
+            begun = [each for each in executions if str(each.get("started_at", "")) <= str(run.started_at)]
+            number = begun[-1].get("config_number") if begun else None
+            part = parts.get(f"earlier_configs/{number}/{PurePosixPath(self._workflow).name}")
+            if part is not None:
+                found[run.run_id] = part
+        # A workflow that executed nothing is not allowed.
+        return found if len(found) < len(self._executed) else {}
 
     def _action(self, parts: Mapping[str, Any], folders: Mapping[str, Any], authors: Sequence[Any]) -> Any:
         executions = self._manifest.get("executions") or [{}]

@@ -76,12 +76,14 @@ class RunActions:
         entity: adds an entity with an identifier, a type and properties to the crate.
         workflow: the main workflow: the config.
         table: the run table, or None if the package does not have it.
+        earlier: the config that executed a run, by the run's id, where it was another version than the main workflow.
     """
 
-    def __init__(self, entity: Callable[..., Any], workflow: Any, table: Any) -> None:
+    def __init__(self, entity: Callable[..., Any], workflow: Any, table: Any, earlier: Mapping[str, Any]) -> None:
         self._entity = entity
         self._workflow = workflow
         self._table = table
+        self._earlier = earlier
         self._treatments: dict[tuple[str, str], Any] = {}
 
     def describe(self, runs: Sequence[ExecutedRun], folders: Mapping[str, Any], authors: Sequence[Any]) -> list[Any]:
@@ -136,7 +138,7 @@ class RunActions:
             startTime=iso_stamp(run.started_at),
             endTime=iso_stamp(run.ended_at),
             agent=list(authors),
-            instrument=self._workflow,
+            instrument=self._earlier.get(run.run_id, self._workflow),
             object=[self._treatments[name, str(value)] for name, value in run.treatments.items()],
             result=[each for each in (self._table, folder) if each is not None],
             **action_outcome("The run failed; journal.jsonl tells why." if run.has_failed else None),

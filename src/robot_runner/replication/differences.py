@@ -5,7 +5,6 @@ from __future__ import annotations
 import platform
 import shlex
 import shutil
-import sys
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache
@@ -13,7 +12,6 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from robot_runner.core.config.dialects import stand_in_modules
 from robot_runner.core.errors import Finding
 from robot_runner.core.plugin import described_circumstances
 from robot_runner.core.storage.manifest import describe_host, describe_system, described_programs
@@ -24,7 +22,7 @@ from robot_runner.replication.distributions import (
     distributions_in,
     installed_distributions,
 )
-from robot_runner.replication.environment import imported_names, importers
+from robot_runner.replication.environment import importers, modules_to_install
 
 _GIBIBYTE = 1 << 30
 _SAME_MEMORY = 0.02  # the memory that the kernel reserves varies between boots
@@ -191,14 +189,14 @@ def _shown(value: object) -> str:
 def missing_modules(root: Path, manifest: Mapping[str, Any]) -> list[Finding]:
     """Return errors for the plugins and modules that an unpacked experiment needs and that are not installed.
 
+    A module that the config imports only in a `try` or an `if` is not one of them: it may do without.
+
     Raises:
         OSError: a file of the config cannot be read.
     """
     config = root / "config"
-    # Also modules in folders, which the config may add to the path; if it does not, importing them fails later.
     local = {part.removesuffix(".py") for path in config.rglob("*.py") for part in path.relative_to(config).parts}
-    # The paper's configs import `plugins`, which exists while a config is loaded.
-    findings, seen = [], {*local, *stand_in_modules(), "plugins", *sys.stdlib_module_names, "robot_runner"}
+    findings, seen = [], set[str]()
     for plugin in manifest.get("plugins", ()):
         module, _, kind = str(plugin.get("class", "")).partition(":")
         top, package, release = module.partition(".")[0], plugin.get("package"), plugin.get("version")
@@ -207,7 +205,7 @@ def missing_modules(root: Path, manifest: Mapping[str, Any]) -> list[Finding]:
             problem = f"{kind}, of {package or module}, is not installed"
             findings.append(Finding.error(f"plugin {plugin.get('name')}", problem, fix))
         seen.add(top)
-    for name in sorted(imported_names(config) - seen):
+    for name in sorted(modules_to_install(config) - seen):
         if not _is_installed(name):
             fix = "Install the package that brings it, or have the environment made: --environment venv"
             findings.append(Finding.error("config", f"the config imports {name}, which is not installed", fix))

@@ -18,6 +18,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
+from robot_runner.core.config.dialects import stand_in_modules
 from robot_runner.core.config.local_modules import editable_folders
 from robot_runner.core.config.source import parsed
 from robot_runner.core.entry_points import entry_points
@@ -192,10 +193,11 @@ def _source(installed: InstalledDistribution, pinned: str) -> tuple[str, str]:
     if not direct or installed.is_local:
         return "local" if direct else "index", pinned
     name, url = pinned.partition("==")[0], str(direct["url"])
+    inside = f"#subdirectory={direct['subdirectory']}" if direct.get("subdirectory") else ""
     if "vcs_info" in direct:
         info = direct["vcs_info"]
-        return "version control", f"{name} @ {info.get('vcs', 'git')}+{url}@{info.get('commit_id', '')}"
-    return "url", f"{name} @ {url}"
+        return "version control", f"{name} @ {info.get('vcs', 'git')}+{url}@{info.get('commit_id', '')}{inside}"
+    return "url", f"{name} @ {url}{inside}"
 
 
 def _findings(
@@ -259,19 +261,44 @@ def owners_of(module: str) -> list[str]:
 
 def _editable_owners(module: str) -> list[str]:
     """Return the editable distribution with a module's code: many build backends do not note its modules."""
-    try:
-        spec = find_spec(module)
-    except (ImportError, ValueError):
-        return []
-    places = [*(spec.submodule_search_locations or ()), spec.origin or ""] if spec else []
-    parents = {parent for place in places for parent in Path(place).parents}
+    place = place_of(module)
+    parents = {place, *place.parents} if place is not None else set()
     return [name for folder, name in editable_folders().items() if folder in parents]
 
 
-def imported_names(folder: Path) -> set[str]:
+def place_of(module: str) -> Path | None:
+    """Return the folder or the file of a top-level module, which is not imported; None if it is not found."""
+    try:
+        spec = find_spec(module)
+    except (ImportError, ValueError):
+        return None
+    places = [*(spec.submodule_search_locations or ()), spec.origin] if spec else []
+    return next((Path(place) for place in places if place), None)
+
+
+def modules_to_install(config: Path) -> set[str]:
+    """Return the top-level modules that a config imports unconditionally and that have to be installed.
+
+    Those in its folder, Python's and ours have not.
+
+    Raises:
+        OSError: a file of the config cannot be read.
+    """
+    # Also modules in folders, which the config may add to the path; if it does not, importing them fails later.
+    local = {part.removesuffix(".py") for path in config.rglob("*.py") for part in path.relative_to(config).parts}
+    # The paper's configs import `plugins`, which exists while a config is loaded.
+    there = {*local, *stand_in_modules(), "plugins", *sys.stdlib_module_names, "robot_runner"}
+    return imported_names(config, unconditionally=True) - there
+
+
+def imported_names(folder: Path, *, unconditionally: bool = False) -> set[str]:
     """Return the top-level modules that the Python files in a folder of configs import, found without executing them.
 
     The experiment's input files, such as a script under test, are skipped: they may be for another Python.
+
+    Args:
+        folder: the folder.
+        unconditionally: whether to skip imports in `try`, `if`, `with` or `match`, such as those of type checkers.
 
     Raises:
         OSError: a file cannot be read.
@@ -280,8 +307,13 @@ def imported_names(folder: Path) -> set[str]:
     found: set[str] = set()
     read = copies_in(folder)
     for path in sorted(each for each in folder.rglob("*.py") if each.absolute() not in read):
-        found.update(name.partition(".")[0] for name in _imports(read_bytes(path), ""))
+        names = _imports(read_bytes(path), "", unconditionally=unconditionally)
+        found.update(name.partition(".")[0] for name in names)
     return found
+
+
+#: What is imported in these may be missing: `try: import cupy`, `if TYPE_CHECKING:`, `with suppress(ImportError):`.
+_CONDITIONAL = (ast.Try, ast.TryStar, ast.If, ast.With, ast.Match)
 
 
 @cache
@@ -330,13 +362,13 @@ def _imports_of(file: Path, package: str) -> tuple[str, ...]:
         return ()
 
 
-def _imports(content: bytes, package: str) -> Iterable[str]:
+def _imports(content: bytes, package: str, *, unconditionally: bool = False) -> Iterable[str]:
     """Yield the full names of a file's imports, also those in functions; nothing if the file is not valid Python."""
     try:
         tree = parsed(content)
     except (SyntaxError, ValueError, RecursionError, MemoryError):
         return
-    for node in _statements(tree):
+    for node in _statements(tree, unconditionally=unconditionally):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom) and (not node.level or package):
@@ -345,11 +377,13 @@ def _imports(content: bytes, package: str) -> Iterable[str]:
             yield from (f"{module}.{alias.name}" for alias in node.names)
 
 
-def _statements(tree: ast.Module) -> Iterator[ast.AST]:
+def _statements(tree: ast.Module, *, unconditionally: bool) -> Iterator[ast.AST]:
     """Yield all nested statements: a tenth of the nodes of `ast.walk`, since expressions import nothing."""
     pending: list[ast.AST] = [tree]
     while pending:
         node = pending.pop()
         yield node
+        if unconditionally and isinstance(node, _CONDITIONAL):
+            continue
         for part in ("body", "orelse", "finalbody", "handlers", "cases"):
             pending += getattr(node, part, ())

@@ -10,22 +10,24 @@ from typing import Any
 from robot_runner.core.design.batch import CONFIRMATION
 from robot_runner.core.design.columns import BATCH, RUN_ID, STATUS, WARM_UP
 from robot_runner.core.errors import StorageError, did_you_mean
-from robot_runner.core.events.measure import CONFIG_OWNER, OPERATOR_OWNER, ROBOTS_OWNER, quality_text
+from robot_runner.core.events.measure import CONFIG_OWNER, OPERATOR_OWNER, QUALITY_SUFFIX, ROBOTS_OWNER, quality_text
 from robot_runner.core.storage.cells import RunStatus
-from robot_runner.core.storage.executed_runs import executed_order, moved_runs, unrecorded_runs
+from robot_runner.core.storage.executed_runs import executed_order, moved_runs, recorded_rows, unrecorded_runs
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.manifest import read_manifest
-from robot_runner.core.storage.recorded_rows import recorded_rows
 from robot_runner.core.storage.registration import read_registration
 from robot_runner.core.storage.system_refusals import storage_errors
 from robot_runner.core.storage.table_columns import MARKS, ColumnDescription, ColumnRole
 from robot_runner.core.storage.table_schema import read_schema
-from robot_runner.core.words import shown_commit, shown_duration
+from robot_runner.core.words import EMPTY, shown_commit, shown_duration
 from robot_runner.replication.about import imported_facts
-from robot_runner.replication.config_lines import ConfigLines
+from robot_runner.replication.config_lines import ConfigLines, executed_config
 from robot_runner.replication.run_history import RunHistory
 
 _ORCHESTRATED = frozenset({"before_run", "continue"})
+_UNKNOWN_CONFIG = (
+    "changed between two executions, and it is not recorded which of config/ and earlier_configs/ executed the run"
+)
 _UNMEASURED = {"simulated": "simulated, not measured", "estimated": "estimated by a model, not measured"}
 
 
@@ -90,7 +92,8 @@ class _Explaining:
         self._run_ids = [rows.run_id(each) for each in range(len(rows))]
         self._history = RunHistory.read(self._files.journal, run_id)
         with storage_errors(self._files.config, "read"):
-            self._lines = ConfigLines(root, self._manifest.get("config") or {})
+            self._config = executed_config(self._files, self._execution)
+            self._lines = ConfigLines(self._files.root, self._config, self._manifest.get("config") or {})
         self._imported = imported_facts(self._manifest)
 
     def explain(self, names: Sequence[str]) -> RunExplanation:
@@ -111,6 +114,8 @@ class _Explaining:
         role = ColumnRole.MEASURE if name in self._history.measures else ColumnRole.EXTRA
         column = self._columns.get(name) or ColumnDescription(name=name, role=role)
         value = self._row[name] if name in self._row else self._history.measures[name]["value"]
+        if value is None and column.role is ColumnRole.FACTOR:
+            value = ""  # an empty treatment: a factor's cell is never missing
         facts = {
             ColumnRole.MEASURE: self._measure_facts,
             ColumnRole.FACTOR: self._factor_facts,
@@ -153,6 +158,7 @@ class _Explaining:
         yield "System", self._system()
         yield from (("Program", self._program(path, owner)) for path, owner in history.programs)
         yield "Commit", history.commit
+        yield "Config", "" if self._config is not None else _UNKNOWN_CONFIG
         yield "Registered", self._registered()
         yield from (("Other host", host) for host in history.hosts)
         yield from (("Subject", subject) for subject in history.subjects)
@@ -291,8 +297,8 @@ class _Explaining:
             yield "From", "`robot-runner import`"
             return
         if owner == OPERATOR_OWNER:
-            when = "after" if measure in self._history.asked_after else "before"
-            yield "From", f"a person, who was asked {when} the run"
+            when = self._history.asked.get(measure.removesuffix(QUALITY_SUFFIX))
+            yield "From", f"a person, who was {f'asked {when}' if when else 'not asked about'} the run"
             return
         if owner == ROBOTS_OWNER:
             yield "From", "Robot Runner: the robot whose turn it was"
@@ -332,7 +338,7 @@ class _Explaining:
         design = self._manifest.get("design") or {}
         treatments = (design.get("factors") or {}).get(column.name)
         if treatments:
-            yield "Treatments", ", ".join(treatments)
+            yield "Treatments", ", ".join(each or EMPTY for each in treatments)
         elif column.role is ColumnRole.REPETITION:
             yield "Treatments", f"1 to {design.get('repetitions')}"
         if design.get("source") not in {None, "config"}:

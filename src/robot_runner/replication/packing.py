@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import shlex
 import zipfile
 from collections.abc import Callable, Collection, Container, Iterator, Mapping, Sequence
@@ -14,14 +13,13 @@ from robot_runner.core.errors import Finding, PackageError
 from robot_runner.core.secret_names import forms_of, is_secret_name, secrets_of_environment
 from robot_runner.core.storage.cells import RunStatus
 from robot_runner.core.storage.executed_runs import edited_findings, ended_runs, unrecorded_findings
-from robot_runner.core.storage.guarded_files import open_to_read, read_text
+from robot_runner.core.storage.guarded_files import read_text, sha256_of
 from robot_runner.core.storage.input_files import read_index
 from robot_runner.core.storage.layout import ExperimentFolder, home_folder
 from robot_runner.core.storage.lock import holder_of
 from robot_runner.core.storage.manifest import read_manifest
 from robot_runner.core.storage.run_table_reading import read_run_table
 from robot_runner.core.storage.run_table_rows import RunTableRows
-from robot_runner.core.storage.system_refusals import storage_errors
 from robot_runner.core.storage.table_columns import ColumnDescription, TableLayout
 from robot_runner.core.storage.table_schema import read_schema
 from robot_runner.core.words import listed
@@ -36,7 +34,7 @@ from robot_runner.replication.plain_zip import LARGEST_DIRECTORY, Progress, dire
 from robot_runner.replication.redaction import Redactor
 from robot_runner.replication.run_by_run import statuses_that_count
 from robot_runner.replication.sealing import Packing, Sealing
-from robot_runner.replication.unkept_files import unkept_files
+from robot_runner.replication.unkept_files import unkept_files, unkept_modules
 
 #: Bytes of the directory that are left for the files that packing adds.
 _ADDED = 1 << 16
@@ -131,7 +129,7 @@ def pack(
     return Packed(
         target,
         target.stat().st_size,
-        file_sha256(target),
+        sha256_of(target),
         len(archive.stored),
         tuple(sealing.left_out),
         tuple(sealing.cleaning.replaced),
@@ -145,19 +143,10 @@ def pack(
             *terms,
             *environment.findings,
             *about_hashes,
+            *unkept_modules(files, environment),
             *_findings(files, manifest, rows, archive.stored),
         ),
     )
-
-
-def file_sha256(path: Path) -> str:
-    """Return the SHA-256 of a file.
-
-    Raises:
-        StorageError: the file cannot be read.
-    """
-    with storage_errors(path, "read"), open_to_read(path) as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def _refuse(files: ExperimentFolder, target: Path) -> None:

@@ -2,24 +2,24 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from robot_runner.core.config.checks import runs_listed_in
-from robot_runner.core.config.experiment import Experiment, grown_model
+from robot_runner.core.config.dialects import seed_known
+from robot_runner.core.config.experiment import Experiment, extended_model
 from robot_runner.core.config.preparation import prepare
 from robot_runner.core.config.treatment_makers import known_treatments, treatments_known
 from robot_runner.core.design.batches import EXTENDED, REPEATED, records_of
 from robot_runner.core.errors import ConfigError, Finding, PackageError
 from robot_runner.core.execution.given_values import given_elsewhere
 from robot_runner.core.execution.recovered_table import with_later_batches
-from robot_runner.core.execution.recovery import table_differences
+from robot_runner.core.execution.resumption import table_differences
 from robot_runner.core.secret_names import REDACTED, hidden_settings, is_same_setting, shown_settings
 from robot_runner.core.storage.declared_shapes import shape_findings
-from robot_runner.core.storage.guarded_files import make_experiment_folder, open_to_read
+from robot_runner.core.storage.guarded_files import make_experiment_folder, sha256_of
 from robot_runner.core.storage.input_files import copy_kept, let_programs_execute, missing_inputs, read_index
 from robot_runner.core.storage.journal import Journal
 from robot_runner.core.storage.layout import ExperimentFolder
@@ -187,7 +187,8 @@ def prepare_replication(root: Path, target: Path, deviations: Mapping[str, str])
         settings[_REGISTRATION] = str(files.registration)
     _refuse_redacted(settings)
     facts = _facts(files, manifest, deviations)
-    with runs_listed_in(files.run_table), treatments_known(facts["treatments"]):
+    seed = seed_known(int(manifest["seed"]), is_given=bool(manifest.get("seed_is_given")))
+    with runs_listed_in(files.run_table), treatments_known(facts["treatments"]), seed:
         preparation = prepare(config, settings)
     absent = list(missing_inputs(files.config))
     if preparation.experiment is None:
@@ -196,7 +197,7 @@ def prepare_replication(root: Path, target: Path, deviations: Mapping[str, str])
     own = {_CLUSTER, _PATH, _REGISTRATION} - deviations.keys()
     overrides = {name: text for name, text in settings.items() if name not in own}
     experiment = replace(preparation.experiment, replication=facts, overrides=overrides)
-    findings = [*preparation.findings, *absent, *_other_values(experiment, manifest, deviations)]
+    findings = [*preparation.findings, *absent, *_other_values(experiment, manifest, deviations), *_changed(files)]
     if experiment.folder.manifest.exists():
         _refuse_other(experiment, facts, deviations)
     else:
@@ -257,8 +258,7 @@ def _identity(files: ExperimentFolder) -> tuple[str, str]:
     """Return the name of the file that identifies the original, and its SHA-256."""
     sums = files.root / SUMS
     identity = sums if sums.is_file() else files.manifest
-    with open_to_read(identity) as file:
-        return identity.name, hashlib.file_digest(file, "sha256").hexdigest()
+    return identity.name, sha256_of(identity)
 
 
 def _other_values(
@@ -269,6 +269,14 @@ def _other_values(
         problem = f"what the config is given is not what the original was given: {listed(told, _NAMED)}"
         fix = "Have it be the same if results are to be compared: it may come from a variable of the environment."
         yield Finding.warning(experiment.config_path.name, problem, fix)
+
+
+def _changed(files: ExperimentFolder) -> Iterator[Finding]:
+    """Yield a warning if runs of the original were executed by another version of the config than the last one."""
+    if files.earlier_configs.is_dir():
+        problem = "the config was changed while the original was executed: runs that were done before are executed by "
+        fix = f"See what changed before you judge differences: diff -r {files.earlier_configs}/1 {files.config}"
+        yield Finding.warning(files.earlier_configs.name, f"{problem}its last version here", fix)
 
 
 def _refuse_other(experiment: Experiment, facts: Mapping[str, Any], deviations: Mapping[str, str]) -> None:
@@ -320,7 +328,7 @@ def _with_batches(experiment: Experiment, files: ExperimentFolder) -> Experiment
     Raises:
         DesignError: the config lacks a treatment that runs of the original have.
     """
-    model = grown_model(experiment.model, files)
+    model = extended_model(experiment.model, files)
     if not model.batches:
         return experiment
     make_experiment_folder(experiment.folder.root)

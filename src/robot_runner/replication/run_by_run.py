@@ -8,8 +8,8 @@ from typing import Any
 
 from robot_runner.core.design.factor import Combination
 from robot_runner.core.storage.cells import RunStatus
+from robot_runner.core.storage.executed_runs import recorded_rows
 from robot_runner.core.storage.layout import ExperimentFolder
-from robot_runner.core.storage.recorded_rows import recorded_rows
 from robot_runner.core.storage.run_table_rows import RunTableRows
 from robot_runner.core.storage.table_schema import read_schema
 

@@ -40,7 +40,7 @@ class RunHistory:
         commit: of the config's repository.
         subjects: software under test, with its command and the file of its output.
         steps: what a person did before and after the run, and noted about it.
-        asked_after: the measures that a person was asked for after the run.
+        asked: when a person was asked for measures, `before` or `after` the run, by their names.
         programs: the called programs, by caller.
     """
 
@@ -65,7 +65,7 @@ class RunHistory:
     commit: str = ""
     subjects: list[str] = field(default_factory=list)
     steps: list[tuple[str, str]] = field(default_factory=list)
-    asked_after: set[str] = field(default_factory=set)
+    asked: dict[str, str] = field(default_factory=dict)
     programs: list[tuple[str, str]] = field(default_factory=list)
 
     @classmethod
@@ -112,10 +112,9 @@ class RunHistory:
 
     def _take_step(self, record: dict[str, Any]) -> None:
         notes = "; ".join(f"{name}: {said}" for name, said in record["notes"].items() if said is not None)
-        when = "Done after" if record.get("is_after") else "Done before"
-        self.steps.append((when, f"{record['step']}{f' ({notes})' if notes else ''}"))
-        if record.get("is_after"):
-            self.asked_after |= record["answers"].keys()
+        when = "after" if record.get("is_after") else "before"
+        self.steps.append((f"Done {when}", f"{record['step']}{f' ({notes})' if notes else ''}"))
+        self.asked |= dict.fromkeys(record["answers"], when)
 
     def _take_subject(self, record: dict[str, Any]) -> None:
         if "command" in record:

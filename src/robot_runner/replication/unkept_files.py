@@ -1,4 +1,4 @@
-"""Find the files that a config reads and a package lacks, by the config's code, of which nothing is executed."""
+"""Find the files and modules that a config needs and a package lacks, by its code, of which nothing is executed."""
 
 from __future__ import annotations
 
@@ -6,13 +6,15 @@ import ast
 import re
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping
-from pathlib import PurePosixPath
+from pathlib import Path, PurePosixPath
 
 from robot_runner.core.config.source import parsed
 from robot_runner.core.errors import Finding
 from robot_runner.core.storage.guarded_files import read_text
 from robot_runner.core.storage.input_files import copies_in
 from robot_runner.core.storage.layout import ExperimentFolder
+from robot_runner.replication.distributions import canonical
+from robot_runner.replication.environment import RecordedEnvironment, modules_to_install, owners_of, place_of
 
 #: Functions that read the file that is their first argument, beside those whose names begin with `read_`.
 _READING = frozenset({"genfromtxt", "imread", "load", "loadtxt", "open"})
@@ -30,6 +32,8 @@ _OF_PATHS = frozenset({"absolute", "as_posix", "expanduser", "joinpath", "resolv
 _FILE = re.compile(r"[^/\0\n]+\.\w{1,8}")
 #: The most names by way of which a path is looked up: they may name each other.
 _DEEPEST = 8
+#: The folder of ROS's distributions.
+_ROS = Path("/opt/ros")
 _OF_SYSTEM = re.compile(r"/(?:bin|dev|etc|lib\w*|opt|proc|run|sbin|sys|tmp|usr|var)/")
 
 #: Whether a path begins at the config's own file, and what constants of the code add to that.
@@ -65,6 +69,33 @@ def unkept_files(files: ExperimentFolder, stored: Iterable[str]) -> Iterator[Fin
                     "again; what the config's method input_files returns is kept with each later experiment."
                 )
                 yield Finding.warning(where, problem, fix)
+
+
+def unkept_modules(files: ExperimentFolder, environment: RecordedEnvironment) -> Iterator[Finding]:
+    """Yield a warning for each module that a config imports and that no recorded package of Python brings.
+
+    Such as one of a sourced workspace of ROS, or one that the system's package manager installed. Those of ROS's own
+    distribution come with the recorded ROS. If the experiment is packed elsewhere, modules that are not there are
+    passed over: they may be those of a recorded package.
+
+    Raises:
+        OSError: a file of the config cannot be read.
+    """
+    ours = environment.packages.get("robot-runner")
+    is_elsewhere = ours is None or ours.source is None
+    for name in sorted(modules_to_install(files.config)):
+        place = place_of(name)
+        is_of_ros = environment.manifest.get("ros") and place is not None and _ROS in place.parents
+        is_recorded = any(canonical(each) in environment.packages for each in owners_of(name))
+        if is_recorded or is_of_ros or (is_elsewhere and place is None):
+            continue
+        told = f"{name}, from {place}," if place else f"{name},"
+        problem = f"the config imports {told} which no package of Python that was recorded brings"
+        fix = (
+            f"Install it by pip and execute the experiment with that, or put a copy of its code into {files.config} "
+            "and pack again; otherwise say in the package where it can be had."
+        )
+        yield Finding.warning("config", f"{problem}: a replication will not find it", fix)
 
 
 def _read_files(tree: ast.Module) -> Iterator[tuple[int, str]]:

@@ -95,6 +95,7 @@ def make_comparison_environment(folder: Path) -> Path:
         wheel = folder.parent / wheel_name(ours)
         with storage_errors(wheel, "written"):
             folder.parent.mkdir(parents=True, exist_ok=True)
+            wheel.unlink(missing_ok=True)  # left by one that was killed
             write_wheel(wheel_of(ours), wheel)
         fix = "Correct what is said there, or install the extra yourself: pip install 'robot-runner[analysis]'. "
         fix += "Then repeat the command: no run is executed again."

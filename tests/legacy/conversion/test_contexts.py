@@ -92,11 +92,13 @@ NOT_WRITTEN = {
     "context.robot = hasattr(context, 'robot')": "takes no attributes",
     "context.execute_run['unplanned'] = 1": "none of the data columns",
     "context.execute_run.update(seconds=1)": "changes the row",
+    "print(context.__dict__)": "has no __dict__",
+    "print(vars(context))": "has no __dict__",
 }
 
 
 @pytest.mark.parametrize(("statement", "said"), NOT_WRITTEN.items())
-def test_what_cannot_be_written_into_a_context_is_named_with_its_line(
+def test_what_cannot_be_done_with_a_context_is_named_with_its_line(
     statement: str, said: str, config: Callable[..., Path]
 ) -> None:
     path = config(f"def start_run(self, context):\n    {statement}")

@@ -182,6 +182,41 @@ def test_a_config_of_robot_runner_becomes_one_of_ours(
     assert measures_of(new, columns) == [[row[name] for name in columns] for row in execute(old).table]
 
 
+RETURNED = """
+def interact(self, context: RunnerContext) -> None:
+    self.kept = {"seconds": 4.5}
+    self.kept["rounds"] = 3
+
+def populate_run_data(self, context: RunnerContext):
+    print(context.execute_run["size"], context.execute_run["language"])
+    return {
+        "size": context.execute_run["size"],  # which the tool wrote again
+        "seconds": 4.5, "__done": "DONE", "language": "c"
+    }
+"""
+
+
+@pytest.mark.long
+def test_treatments_in_what_is_returned_which_the_tool_wrote_again_are_left_out(
+    config: Callable[..., Path], converted: Callable[[Path], Path], execute: Callable[..., Executed]
+) -> None:
+    path = config(RETURNED)
+    before = [row["seconds"] for row in execute(path).table]
+    new = converted(path)
+    assert [seconds for (seconds,) in measures_of(new, ["seconds"])] == before == ["4.5"] * 8
+    assert not convert(path).findings
+
+
+@pytest.mark.parametrize("returned", ['{"seconds": 1.0, "rounds": 3}', "self.kept", "found"])
+def test_what_is_returned_without_a_column_is_named_with_its_line(config: Callable[..., Path], returned: str) -> None:
+    methods = RETURNED.partition("    return {")[0]
+    found = 'found = {"seconds": 1.0}\n    found["rounds"] = 3'
+    path = config(f"{methods}    {found}\n    return {returned}\n")
+    (told,) = convert(path).findings
+    assert told.problem == "'rounds' is none of data_columns: each run of the new file that returns it fails"
+    assert '"rounds"' in path.read_text().splitlines()[int(told.where.rpartition(":")[2]) - 1]
+
+
 def test_callbacks_of_other_names_are_named_after_their_events(
     config: Callable[..., Path], converted: Callable[[Path], Path]
 ) -> None:

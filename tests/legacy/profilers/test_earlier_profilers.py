@@ -19,7 +19,7 @@ from tests.meters.test_watts_up_pro import PtyMeter
 
 from robot_runner.core.config.preparation import prepare
 from robot_runner.core.errors import LinkError, PluginError
-from robot_runner.core.execution.recovery import Resumption
+from robot_runner.core.execution.resumption import Resumption
 from robot_runner.core.links.kinds import FoundRobot
 from robot_runner.core.plugin import Circumstances
 from robot_runner.core.storage.table_schema import read_schema

@@ -333,3 +333,16 @@ def populate_run_data(self, context): return {"Energy": self.pace}
     assert "the journal has no end of them" in refused.err
     assert "fix: Restore run table and journal from a backup, or begin another replication: --to FOLDER." in refused.err
     assert "--table" not in refused.err
+
+
+@pytest.mark.long
+def test_results_are_not_kept_in_a_folder_that_an_environment_is_made_in_anew(robot_runner, write_config, tmp_path):
+    write_config("def populate_run_data(self, context): return {'Energy': 1.0}")
+    assert robot_runner("run", "config.py", "--set", "experiment_name=environment").code == 0
+    words = ("replicate", tmp_path / "results" / "environment", "--yes", "--without-verdict", "--to", "again")
+    refused = robot_runner(*words)
+    assert refused.code == 2
+    assert "the experiment is called 'environment', as a folder that replications make is" in refused.err
+    assert "fix: Give the replication another name: --set experiment_name=environment_again\n" in refused.err
+    assert robot_runner(*words, "--set", "experiment_name=environment_again").code == 0
+    assert (tmp_path / "again" / "environment_again" / "run_table.csv").exists()

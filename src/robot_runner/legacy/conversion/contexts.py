@@ -158,6 +158,8 @@ class _Function:
                     self._context_of(row)
                 ):
                     self._file.edits.replace(node, f"{self._context_of(row)}.run_id")
+                case ast.Call(func=ast.Name(id="vars"), args=[context]) if self._is_context(context):
+                    yield self._lacking(node, "a context has no __dict__ here", "Take this out, then convert the file.")
                 case ast.Subscript(value=row, slice=ast.Constant(value=str(key))) if self._context_of(row):
                     self._convert_cell(node, row, key)
                 case ast.Attribute(value=owner) if self._is_context(owner):
@@ -174,6 +176,8 @@ class _Function:
         elif isinstance(node.ctx, ast.Store):
             fix = f"Keep it in self.{node.attr} or under another name there, then convert the file."
             yield self._lacking(node, "a context takes no attributes of your own here", fix)
+        elif node.attr == "__dict__":
+            yield self._lacking(node, "a context has no __dict__ here", "Take this out, then convert the file.")
         elif node.attr in _ATTRIBUTES:
             self._file.edits.replace(node, f"{context}.{_ATTRIBUTES[node.attr]}")
         elif node.attr in _ROWS:

@@ -38,7 +38,13 @@ from robot_runner.legacy.conversion.callbacks import (
 )
 from robot_runner.legacy.conversion.contexts import convert_contexts
 from robot_runner.legacy.conversion.earlier_imports import ConvertedFile, convert_imports, convert_names, modules_beside
-from robot_runner.legacy.conversion.names import convert_parameters, convert_run_tables, own_members, rename_clashing
+from robot_runner.legacy.conversion.names import (
+    convert_parameters,
+    convert_run_tables,
+    leave_out_treatments,
+    own_members,
+    rename_clashing,
+)
 from robot_runner.legacy.earlier_experiment import EarlierExperiment
 from robot_runner.legacy.recognition import Recognised, recognise
 from robot_runner.legacy.session import Session, active_session
@@ -235,6 +241,7 @@ class _Converting:
         convert_decorators(self.file, config, self._experiment.columns.names)
         lines = [*convert_imports(self.file), *convert_base_imports(self.file, self._inherited)]
         self.file.findings += rename_clashing(self._session, self.file)
+        self.file.findings += leave_out_treatments(self._session, self.file, config)
         where = f"{self.file.path}:{config.lineno}"
         self.file.findings += taken_over(where, config, callbacks, self._inherited)
         if self._own:

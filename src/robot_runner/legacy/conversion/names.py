@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import ast
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from itertools import pairwise
 from pathlib import Path
 
 from robot_runner.core.config.parameters import PARAMETERS
@@ -11,7 +12,7 @@ from robot_runner.core.errors import Finding
 from robot_runner.core.events.manager import RobotRunnerEvents
 from robot_runner.legacy.conversion.earlier_imports import ConvertedFile
 from robot_runner.legacy.earlier_exclusions import EarlierFactor, NamedExclusion, named_exclusions
-from robot_runner.legacy.run_tables import named_columns
+from robot_runner.legacy.run_tables import PROGRESS, named_columns
 from robot_runner.legacy.session import Session
 from robot_runner.legacy.syntax import Edits, attributes_of, bound_names, nodes, walk_bodies
 
@@ -217,20 +218,21 @@ def _convert_exclusions(session: Session, exclusions: ast.expr, edits: Edits) ->
     _leave_out(exclusions, [each.names_nothing for each in named], edits)
 
 
-def _leave_out(exclusions: ast.List, is_idle: Sequence[bool], edits: Edits) -> None:
-    """Remove elements of a list, each with its comma and comment."""
-    elements = exclusions.elts
+def _leave_out(whole: ast.List | ast.Dict, is_idle: Sequence[bool], edits: Edits) -> None:
+    """Remove elements of a list or items of a mapping, each with its comma and comment."""
+    starts: Sequence[ast.expr | None] = whole.elts if isinstance(whole, ast.List) else whole.keys
+    ends = whole.elts if isinstance(whole, ast.List) else whole.values
     if not any(is_idle):
         return
     if all(is_idle):
-        edits.replace(exclusions, "[]")
+        edits.replace(whole, "[]" if isinstance(whole, ast.List) else "{}")
         return
     last = max(place for place, idle in enumerate(is_idle) if not idle)
-    for place in range(last):
-        if is_idle[place]:
-            edits.replace_span(edits.start_of(elements[place]), edits.start_of(elements[place + 1]), "")
-    if last < len(elements) - 1:
-        edits.replace_span(edits.end_of(elements[last]), edits.end_of(elements[-1]), "")
+    for place, (start, following) in enumerate(pairwise(starts)):
+        if is_idle[place] and place < last and start is not None and following is not None:
+            edits.replace_span(edits.start_of(start), edits.start_of(following), "")
+    if last < len(ends) - 1:
+        edits.replace_span(edits.end_of(ends[last]), edits.end_of(ends[-1]), "")
 
 
 def _in_our_words(named: NamedExclusion, factors: Sequence[EarlierFactor]) -> str:
@@ -243,6 +245,7 @@ def _in_our_words(named: NamedExclusion, factors: Sequence[EarlierFactor]) -> st
 
 # Factors and measures whose names clash with our own columns of the run table.
 
+_TABLES = frozenset({"create_run_table", "create_run_table_model"})
 _ROWS = ("run_variation", "execute_run")
 _MODELS = ("RunTableModel", "Factor")
 
@@ -302,3 +305,56 @@ def _keys_in(function: ast.FunctionDef) -> Iterator[ast.Constant]:
         is_read_again = isinstance(cell.value, ast.Name) and cell.value.id in filled
         if isinstance(cell.slice, ast.Constant) and (isinstance(cell.ctx, ast.Store) or is_read_again):
             yield cell.slice
+
+
+# What `populate_run_data` returns: here only measures with a column may be in it.
+
+
+def leave_out_treatments(session: Session, converted: ConvertedFile, config: ast.ClassDef) -> Iterator[Finding]:
+    """Remove treatments from what is returned, and yield a warning for each other key that has no column.
+
+    The earlier tools wrote returned treatments into the row again. If the class does not make the run table, its
+    columns are not known.
+    """
+    methods = {node.name: node for node in config.body if isinstance(node, ast.FunctionDef)}
+    if session.model is None or not methods.keys() & _TABLES:
+        return
+    columns = set(session.model.get_data_columns())
+    treatments = {factor.factor_name for factor in session.model.get_factors()} | set(PROGRESS)
+    for name in sorted(session.callbacks_of(RobotRunnerEvents.POPULATE_RUN_DATA) & methods.keys()):
+        for key in _returned_keys(methods[name], config, converted.edits, treatments - columns):
+            if key.value not in columns:
+                problem = f"{key.value!r} is none of data_columns: each run of the new file that returns it fails"
+                fix = "Take it out, or add it to data_columns."
+                yield Finding.warning(f"{converted.path}:{key.lineno}", problem, fix)
+
+
+def _returned_keys(
+    function: ast.FunctionDef, config: ast.ClassDef, edits: Edits, treatments: Collection[str]
+) -> Iterator[ast.Constant]:
+    """Yield the constant keys of the mappings that a function returns.
+
+    Those of `treatments` are removed where the mapping is written in the `return`; another one may be read elsewhere.
+    """
+    for returned in (node.value for node in nodes(function, ast.Return) if node.value is not None):
+        if isinstance(returned, ast.Dict):
+            can_be = None not in returned.keys  # `**more` has no key whose place in the text is known
+            idle = [can_be and isinstance(key, ast.Constant) and key.value in treatments for key in returned.keys]
+            _leave_out(returned, idle, edits)
+            kept = (key for key, is_idle in zip(returned.keys, idle, strict=True) if not is_idle)
+            yield from (key for key in kept if isinstance(key, ast.Constant))
+        elif isinstance(returned, ast.Name | ast.Attribute):
+            yield from _keys_of(ast.unparse(returned), function if isinstance(returned, ast.Name) else config)
+
+
+def _keys_of(mapping: str, where: ast.AST) -> Iterator[ast.Constant]:
+    """Yield the constant keys with which a mapping is made and filled."""
+    for node in ast.walk(where):
+        match node:
+            case ast.Assign(targets=[target], value=ast.Dict(keys=keys)) if ast.unparse(target) == mapping:
+                yield from (key for key in keys if isinstance(key, ast.Constant))
+            case ast.AnnAssign(target=target, value=ast.Dict(keys=keys)) if ast.unparse(target) == mapping:
+                yield from (key for key in keys if isinstance(key, ast.Constant))
+            case ast.Subscript(value=value, slice=ast.Constant() as key, ctx=ast.Store()):
+                if ast.unparse(value) == mapping:
+                    yield key

@@ -16,7 +16,7 @@ from robot_runner.cli.console import UserConsole, output, print_facts, print_fol
 from robot_runner.cli.parser import Parser, add_json, add_set, add_target
 from robot_runner.cli.target import folder_of_target
 from robot_runner.core.storage.table_columns import ColumnRole
-from robot_runner.core.words import one_line, shown_value
+from robot_runner.core.words import one_line, shown_treatment, shown_value
 
 if TYPE_CHECKING:
     from robot_runner.replication.explanation import RunExplanation
@@ -84,7 +84,7 @@ def _print(console: UserConsole, explanation: RunExplanation) -> None:
     for each in explanation.values:
         unit = f" {each.unit}" if each.unit not in {"", "1"} and each.value is not None else ""
         is_treatment = each.role == ColumnRole.FACTOR.value  # told digit by digit, as the table has it
-        value = one_line(str(each.value)) if is_treatment else shown_value(each.value)
+        value = shown_treatment(each.value) if is_treatment else shown_value(each.value)
         head = Text(each.name, style="bold").append(f"  {value}{unit}", "not bold cyan")
         console.print()
         console.print(head.append(f"  {each.role}", "not bold dim"), soft_wrap=True)

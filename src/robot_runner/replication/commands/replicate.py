@@ -36,7 +36,7 @@ from robot_runner.cli.screens.progress_bars import byte_progress
 from robot_runner.cli.target import only_package
 from robot_runner.core.config.loader import parse_assignments
 from robot_runner.core.errors import Finding, PackageError, RobotRunnerError, did_you_mean
-from robot_runner.core.execution.recovery import ACCEPT
+from robot_runner.core.execution.resumption import ACCEPT
 from robot_runner.core.secret_names import shown_assignments
 from robot_runner.core.storage.input_files import kept_copies
 from robot_runner.core.storage.layout import ExperimentFolder
@@ -60,6 +60,8 @@ from robot_runner.replication.replicating import (
 from robot_runner.replication.run_by_run import is_executed
 from robot_runner.replication.virtual_environments import execute_with, make_environment, program_in
 
+#: The folders beside the results: the unpacked package, its environment, and that of the comparison.
+_FOLDERS = frozenset({"package", "environment", "comparison_environment"})
 _HERE, _VENV, _CONTAINER = _ENVIRONMENTS = ("here", "venv", "container")
 
 
@@ -130,6 +132,7 @@ def _replicate(arguments: Namespace) -> dict[str, Any]:
         source = find_source(Path(arguments.package).expanduser(), progress)
     target = Path(arguments.to or f"{_harmless(source.experiment)}_replication").expanduser().resolve()
     source.refuse_target(target)
+    _refuse_name(deviations.get("experiment_name", source.experiment))
     robot = deviations.get("robot", original_settings(source.manifest).get("robot", source.manifest.get("robot")))
     differing = differing_environment(source.environment, robot=robot, manifest=source.manifest)
     print_plan(output(), source, differing, deviations, target, has_all=arguments.all_differences)
@@ -150,6 +153,14 @@ def _replicate(arguments: Namespace) -> dict[str, Any]:
     facts |= {"environment": own, "exit_code": code}
     with read_or_not():
         return _ended(arguments, comparing, facts)
+
+
+def _refuse_name(name: str) -> None:
+    """Refuse an experiment whose results would be in a folder that a replication makes for itself."""
+    if name in _FOLDERS:
+        problem = f"the experiment is called {name!r}, as a folder that replications make is"
+        fix = f"Give the replication another name: --set experiment_name={name}_again"
+        raise PackageError(problem, where="experiment_name", fix=fix)
 
 
 def _harmless(name: str) -> str:

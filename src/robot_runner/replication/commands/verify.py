@@ -88,9 +88,9 @@ def _sha256(path: Path, expected: str | None) -> str | None:
         if wanted is not None:
             raise UsageError("a folder has no SHA-256", where="--sha256", fix="Name the zip file.")
         return None
-    from robot_runner.replication.packing import file_sha256  # noqa: PLC0415 - as above
+    from robot_runner.core.storage.guarded_files import sha256_of  # noqa: PLC0415 - as above
 
-    digest = file_sha256(path)
+    digest = sha256_of(path)
     if wanted not in {None, digest}:
         fix = "Get the package again from where its authors published it."
         raise UsageError(f"the package's SHA-256 is {digest}, not {wanted}", where=str(path), fix=fix)
