@@ -12,7 +12,7 @@ from benchmarks.table import Row, print_table
 from robot_runner.core.config.preparation import prepare_or_refuse
 from robot_runner.core.execution.notices import AttemptStarted, Notice, SilentObserver
 from robot_runner.core.execution.orchestrator import execute_experiment
-from robot_runner.core.execution.recovery import Resumption
+from robot_runner.core.execution.resumption import Resumption
 from robot_runner.core.storage.cells import RunStatus
 from robot_runner.core.storage.journal import Journal
 from robot_runner.core.storage.layout import ExperimentFolder

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from robot_runner.core.execution.executor import _Supervision
+from robot_runner.core.execution.local_places import _Supervision
 
 if TYPE_CHECKING:
     import pytest

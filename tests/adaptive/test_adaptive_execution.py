@@ -23,12 +23,12 @@ from robot_runner.core.config.preparation import prepare, prepare_or_refuse
 from robot_runner.core.config.registered_config import registration_content
 from robot_runner.core.design.asking import AdaptiveDesign, Told
 from robot_runner.core.design.batches import as_configured
-from robot_runner.core.design.growing import Additions
+from robot_runner.core.design.extended_design import Additions
 from robot_runner.core.errors import ExecutionError
 from robot_runner.core.execution.experiment_status import read_status
 from robot_runner.core.execution.notices import NextDecided, Notice, SilentObserver
 from robot_runner.core.execution.orchestrator import execute_experiment
-from robot_runner.core.execution.recovery import Resumption
+from robot_runner.core.execution.resumption import Resumption
 from robot_runner.core.storage.journal import read_journal
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.manifest import read_manifest

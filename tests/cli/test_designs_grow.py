@@ -9,7 +9,7 @@ from tests.conftest import HEAD
 
 from robot_runner.cli.extension import ExtensionRequest, extend_experiment
 from robot_runner.core.config.preparation import prepare_or_refuse
-from robot_runner.core.design.growing import Additions, NewFactor
+from robot_runner.core.design.extended_design import Additions, NewFactor
 from robot_runner.core.errors import DesignError
 
 if TYPE_CHECKING:

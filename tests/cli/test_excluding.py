@@ -17,7 +17,7 @@ from robot_runner.core.errors import ExecutionError, StorageError
 from robot_runner.core.execution.experiment_status import read_status
 from robot_runner.core.execution.notices import ExperimentFinished, SilentObserver
 from robot_runner.core.execution.orchestrator import execute_experiment
-from robot_runner.core.execution.recovery import Resumption, TableChoice, TableDisagreementError
+from robot_runner.core.execution.resumption import Resumption, TableChoice, TableDisagreementError
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.lock import ExperimentLock
 from robot_runner.core.storage.table_schema import read_schema

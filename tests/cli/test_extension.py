@@ -20,12 +20,12 @@ from robot_runner.cli.excluding import exclude_runs
 from robot_runner.cli.extension import Extension, ExtensionRequest, extend_experiment
 from robot_runner.cli.planning import plan_of
 from robot_runner.core.config.preparation import prepare, prepare_or_refuse
-from robot_runner.core.design.growing import Additions, NewFactor
+from robot_runner.core.design.extended_design import Additions, NewFactor
 from robot_runner.core.errors import DesignError, ExecutionError, RobotRunnerError, StorageError
 from robot_runner.core.execution.experiment_status import read_status
 from robot_runner.core.execution.notices import ExperimentFinished, SilentObserver
 from robot_runner.core.execution.orchestrator import execute_experiment
-from robot_runner.core.execution.recovery import Resumption, TableChoice, TableDisagreementError
+from robot_runner.core.execution.resumption import Resumption, TableChoice, TableDisagreementError
 from robot_runner.core.storage.executed_runs import executed_order
 from robot_runner.core.storage.journal import read_journal
 from robot_runner.core.storage.layout import ExperimentFolder

@@ -19,7 +19,7 @@ import robot_runner
 from robot_runner.cluster import cluster_places
 from robot_runner.core.config.preparation import prepare_or_refuse
 from robot_runner.core.errors import ExecutionError
-from robot_runner.core.execution.left_over import RunMark, RunsElsewhere, runs_elsewhere
+from robot_runner.core.execution.left_processes import RunMark, RunsElsewhere, runs_elsewhere
 from robot_runner.core.storage.claim_locks import HeldClaims
 from robot_runner.core.storage.layout import ExperimentFolder
 
@@ -235,7 +235,10 @@ def test_a_run_waits_until_the_run_of_a_process_that_was_killed_has_let_go_of_th
         """Its lock is gone with it."""
     with closing(RunMark(killed)):
         experiment = cluster.experiment(measuring.config)
-        until(lambda: "what is left of the experiment 'killed'" in str(journal_of(measuring.folder, "finding")), "told")
+        until(
+            lambda: "remaining processes of the experiment 'killed'" in str(journal_of(measuring.folder, "finding")),
+            "told",
+        )
         assert not list(measuring.told.glob("*.begun"))
     assert experiment.wait(60) == 0, _answer(experiment)
 

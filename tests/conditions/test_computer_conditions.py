@@ -136,6 +136,17 @@ def test_batteries_and_throttling_are_told_of_where_there_are_any(
     assert held_back.seen
 
 
+def test_the_firmware_of_a_raspberry_pi_5_tells_of_throttling(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, context: RobotRunnerContext
+) -> None:
+    monkeypatch.setattr(computers, "_COUNTERS", str(tmp_path / "none"))
+    monkeypatch.setattr(computers, "_FIRMWARE", computers._FIRMWARE.replace("/sys", str(tmp_path)))
+    file = tmp_path / "devices/platform/soc@107c000000/soc@107c000000:firmware/get_throttled"
+    file.parent.mkdir(parents=True)
+    file.write_text("50005\n")
+    assert seen(context, throttled(), looks=2).seen.startswith("throttled (firmware 0x5")
+
+
 def test_a_core_that_comes_back_with_its_old_count_is_not_throttled(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, context: RobotRunnerContext
 ) -> None:

@@ -10,8 +10,15 @@ import pytest
 from robot_runner.core.errors import PluginError
 from robot_runner.core.events.manager import EventManager, OwnerKind, RobotRunnerEvents
 from robot_runner.core.plugin import Profiler, System
-from robot_runner.core.treatments import bind, built_with, factors_of, is_waiting, treatment, values_of
-from robot_runner.core.vain_parameters import parameters_guarded
+from robot_runner.core.treatments import (
+    bind,
+    built_with,
+    factors_of,
+    is_waiting,
+    parameters_guarded,
+    treatment,
+    values_of,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -109,10 +109,10 @@ class Study(ExperimentConfig):
 """
 
 
-def _floors() -> list[tuple[list[str], list[str]]]:
-    """The files of each floor of one run's path, and the functions in them, in order."""
+def _steps() -> list[tuple[list[str], list[str]]]:
+    """The files of each step of one run's path, and the functions in them, in order."""
     page = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
-    path = page.partition("### One run, file by file")[2].partition("What stands beside the path")[0]
+    path = page.partition("### One run, file by file")[2].partition("Subjects beside this path")[0]
     told = [re.findall(r"`([\w.]+)`", words) for words in re.findall(r"^\|.*\|(.*)\|$", path, re.MULTILINE)[2:]]
     return [(list(map(str, paths)), names) for (paths, _), names in zip(_where_to_look(), told, strict=False)]
 
@@ -125,7 +125,7 @@ def test_one_run_goes_the_way_that_the_page_tells(tmp_path: Path) -> None:
     written = list(tmp_path.glob("calls.*"))
     assert len(written) == 3, done.stderr  # orchestrator, keeper, run
     calls = sorted(line.split(" ") for each in written for line in each.read_text().splitlines())
-    floors = _floors()
+    floors = _steps()
     assert len(floors) == 10
     for files, names in floors:
         assert len(files) == 2

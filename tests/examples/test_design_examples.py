@@ -95,7 +95,7 @@ def test_a_design_is_shown_in_words_registered_and_extended_by_repetitions(
     config.write_text(changed, encoding="utf-8")
     capsys.readouterr()
     main(["check", str(config)])
-    assert "what chooses the combinations" in capsys.readouterr().out
+    assert "parameters of the design" in capsys.readouterr().out
     assert executed("one_factor_at_a_time", "--only", "r_1") == 0
     settings = ["--set", f"results_output_path={tmp_path}"]
     example = str(EXAMPLES / "one_factor_at_a_time.py")

@@ -146,6 +146,14 @@ def means_of(parts: dict[str, Any]) -> list[Any]:
     return [row["cells"][0][:2] for row in task["rows"]]
 
 
+def test_an_empty_treatment_is_quoted_and_not_called_none(root: Path) -> None:
+    table = root / "run_table.csv"
+    table.write_text(table.read_text("utf-8").replace("Network", ""), "utf-8")
+    followed = FollowedExperiment(root)
+    means = next(each for each in settled(followed)["means"] if each["factor"] == "Task")
+    assert "“”" in [row["treatment"] for row in means["rows"]]
+
+
 def test_a_run_that_is_left_out_is_in_no_mean_from_then_on(root: Path) -> None:
     followed = FollowedExperiment(root)
     settled(followed)

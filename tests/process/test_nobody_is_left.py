@@ -235,7 +235,7 @@ def test_who_claims_the_same_robot_waits_for_what_a_killed_experiment_has_left_a
     written_config(first.config.parent, body, head=HEAD.replace("trial", "other"), name="other.py")
     refused = start(config=other)
     assert refused.end() == 2
-    assert "robot:alice is in use by what is left of the experiment 'trial'" in refused.output
+    assert "robot:alice is in use by the remaining processes of the experiment 'trial'" in refused.output
     waiting = start("", "--wait", config=other)
     assert any("Waiting for claims" in line for line in waiting.process.stdout)
     first.config.with_name("may close").touch()
@@ -267,7 +267,7 @@ def test_a_restart_ends_a_gate_that_hangs_in_c_and_says_so(start: Start, write_c
     assert experiment.processes(), "the gate goes on"
     again = start(config=experiment.config)
     assert again.end() == 0, again.output
-    said = "an earlier execution was killed; what it did beside its runs was still going on and was waited for"
+    said = "an earlier execution was killed; its work beside runs was still going on and was waited for"
     assert said in " ".join(again.output.split())
     assert experiment.nobody_is_left()
     assert not list(again.folder.glob(".aside-*"))

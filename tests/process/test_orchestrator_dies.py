@@ -328,11 +328,11 @@ def test_a_keeper_that_does_not_answer_is_given_up_and_its_run_is_ended(start: S
         event_deadline_in_s = 1
         grace_in_s = 0.5
         def before_experiment(self, context):
-            from robot_runner.core.execution import executor
-            executor._KEEPER_MARGIN = 0.5
-            def in_the_mission(self, deadlines=executor._Supervision._deadlines):
+            from robot_runner.core.execution import local_places
+            local_places._KEEPER_MARGIN = 0.5
+            def in_the_mission(self, deadlines=local_places._Supervision._deadlines):
                 return deadlines(self) if self._builder.event == "launch_mission" else (None, None)
-            executor._Supervision._deadlines = in_the_mission  # all else may take longer on a busy machine
+            local_places._Supervision._deadlines = in_the_mission  # all else may take longer on a busy machine
         def launch_mission(self, context):
             import os, signal, time
             if context.run_id == "r_2":

@@ -19,7 +19,7 @@ from tests.command_line import PROGRAM
 from tests.process.conftest import kill_together, wait_until
 
 from robot_runner.core.config.preparation import prepare
-from robot_runner.core.execution.begun_experiment import folder_refusals
+from robot_runner.core.execution.before_first_run import folder_refusals
 from robot_runner.core.storage.shared_claims import hold_against_users
 
 if TYPE_CHECKING:

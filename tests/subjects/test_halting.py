@@ -26,7 +26,7 @@ from tests.waiting import PATIENCE, wait_until
 from robot_runner.core.errors import LinkError, PluginError
 from robot_runner.core.events.resources import Resources
 from robot_runner.core.execution.interruption import STOP_SIGNALS
-from robot_runner.core.execution.left_over import is_subject_left
+from robot_runner.core.execution.left_processes import is_subject_left
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.subjects import halting
 from robot_runner.subjects.halting import CommandedTopics, Halting, end_left_subjects

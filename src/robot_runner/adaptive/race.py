@@ -25,7 +25,8 @@ from robot_runner.adaptive.explored import (
 from robot_runner.core.design.asking import Decision, Told
 from robot_runner.core.design.columns import REPETITION
 from robot_runner.core.design.design import DesignedRuns, IsAllowed
-from robot_runner.core.design.factor import Factor, full_factorial, full_size, texts_of
+from robot_runner.core.design.factor import Factor, texts_of
+from robot_runner.core.design.full_factorial import full_factorial, full_size
 from robot_runner.core.design.planned_runs import PlannedRun, RunOrder, planned_runs
 from robot_runner.core.design.precision import LEAST_REPETITIONS
 from robot_runner.core.design.repeated_intervals import half_width_of, level_at_each_look

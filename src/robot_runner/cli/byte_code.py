@@ -19,7 +19,7 @@ class _UnkeptSource(SourceFileLoader):
     """Imports a module from its source as ever, but writes nothing."""
 
     def set_data(self, path: str, data: object, *, _mode: int = 0) -> None:
-        """Leave out what the import system would have written beside the source."""
+        """Write nothing: the import system would have written byte code beside the source."""
 
 
 class _KeepsInstalledOnly:

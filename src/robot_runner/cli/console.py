@@ -1,4 +1,4 @@
-"""What is printed: consoles, plain and coloured, commands and paths to paste, facts in two columns, rows of a table."""
+"""Consoles, plain and coloured; commands and paths to paste, facts in two columns, rows of a table."""
 
 from __future__ import annotations
 
@@ -130,7 +130,7 @@ def is_on_path(program: Path) -> bool:
 
 @contextmanager
 def quiet_loading() -> Iterator[None]:
-    """While a config is loaded, send what its code prints to stderr, and write no compiled files beside it."""
+    """While a config is loaded, send output of its code to stderr, and write no byte code beside it."""
     with no_byte_code(), redirect_stdout(sys.stderr):
         yield
 
@@ -209,13 +209,13 @@ def fitting(columns: Sequence[Column], width: int) -> int:
 
 
 def aligned(columns: Sequence[Column], cells: Sequence[str]) -> str:
-    """Return a row as one line; what is too long for its column ends in `…`."""
+    """Return a row as one line; a cell that is too long for its column ends in `…`."""
     parts = [_placed(column, one_line(cell)) for column, cell in zip(columns, cells, strict=False)]
     return _GAP.join(parts).rstrip()
 
 
 def shortened(text: str, width: int = _LONGEST) -> str:
-    """Return a text that takes at most so many cells of a terminal; what is left out becomes `…`.
+    """Return a text that takes at most so many cells of a terminal; its rest becomes `…`.
 
     Example:
         >>> shortened("a wide treatment", 7)

@@ -9,7 +9,8 @@ from typing import Any
 from robot_runner.cli.console import Column, UserConsole, aligned, fitting, width_of
 from robot_runner.core.design.batch import Batch
 from robot_runner.core.design.columns import BATCH, REPETITION
-from robot_runner.core.design.factor import Factor, full_size
+from robot_runner.core.design.factor import Factor
+from robot_runner.core.design.full_factorial import full_size
 from robot_runner.core.design.listed_runs import ListedRunTableModel
 from robot_runner.core.design.numeric_range import is_number
 from robot_runner.core.design.planned_runs import PlannedRun
@@ -42,7 +43,7 @@ _FIRST, _LAST = 20, 5
 def print_runs(
     console: UserConsole, model: RunTableModel, runs: Sequence[PlannedRun], *, shows_all: bool = False
 ) -> None:
-    """Print planned runs as a table; of a long one its head and its tail, where not all runs are asked for."""
+    """Print planned runs as a table; of a long one its head and its tail, unless all runs are requested."""
     is_abbreviated = not shows_all and len(runs) > _LONG
     head, tail = (runs[:_FIRST], runs[-_LAST:]) if is_abbreviated else (runs, ())
     longest = max((run.run_id for run in (*head, *tail)), key=len)
@@ -83,7 +84,7 @@ def _factor_column(factor: Factor) -> Column:
 
 
 def in_words(model: RunTableModel) -> str:
-    """Return how many runs there are and what they come from.
+    """Return the number of runs and its factors, in words.
 
     Example:
         >>> from robot_runner.core.design.factor import Factor
@@ -122,7 +123,7 @@ def kind_in_words(model: RunTableModel) -> str:
 
 
 def design_in_words(model: RunTableModel) -> list[tuple[str, str]]:
-    """Return what a design other than the full factorial chooses and what it costs, as headed lines."""
+    """Return the choice of a design other than the full factorial, and its price, as headed lines."""
     if model.is_full_factorial:
         return []
     facts = model.design_facts
@@ -180,7 +181,7 @@ def warm_ups_in_words(model: RunTableModel, runs: Sequence[PlannedRun]) -> str:
 
 
 def shown_order(*, shuffle: bool, blocks: str | None, origin: str) -> str:
-    """Return how runs are put in order; `origin` says where a randomised order comes from.
+    """Return the rule of the order of runs; `origin` is the source of a randomised one.
 
     Example:
         >>> shown_order(shuffle=True, blocks="Repetition", origin=" from seed 7")

@@ -11,11 +11,12 @@ from robot_runner.core.design.selection import RunChooser
 from robot_runner.core.errors import ExecutionError, Finding, StorageError
 from robot_runner.core.execution.recovered_table import TableHistory
 from robot_runner.core.storage.executed_runs import ExcludedRuns
+from robot_runner.core.storage.guarded_files import sha256_of
 from robot_runner.core.storage.journal import Journal
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.lock import ExperimentLock
 from robot_runner.core.storage.manifest import read_manifest
-from robot_runner.core.storage.run_table_reading import digest_of, read_run_table
+from robot_runner.core.storage.run_table_reading import read_run_table
 from robot_runner.core.storage.run_table_rows import RunTableRows, write_run_table
 from robot_runner.core.storage.table_columns import ColumnDescription, TableLayout
 from robot_runner.core.storage.table_schema import EXCLUSION, read_schema, write_schema
@@ -47,7 +48,7 @@ def refuse_without_journal(folder: ExperimentFolder) -> None:
 
 @contextmanager
 def told_as_recorded(change: str) -> Iterator[None]:
-    """Say of a file that cannot be written that the journal has the change already: it counts, and is not lost.
+    """Add to the error on a file that cannot be written: the journal has the change, which counts.
 
     Raises:
         StorageError: the one of the file, with that.
@@ -140,7 +141,7 @@ def _correcting(folder: ExperimentFolder) -> Iterator[_Table]:
         schema = read_schema(folder.schema)
         rows = _read_rows(folder, schema)
         history = TableHistory.of(folder.journal)
-        is_as_written = not history.newer and digest_of(folder.run_table) == history.written
+        is_as_written = not history.newer and sha256_of(folder.run_table) == history.written
         with Journal(folder.journal) as journal:
             yield _Table(rows, history.excluded, journal)
             with told_as_recorded("the correction"):

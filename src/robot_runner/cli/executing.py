@@ -1,4 +1,4 @@
-"""Executes an experiment and shows it on the screen, with a live page beside it where that was asked for."""
+"""Executes an experiment and shows it on the screen, with a live page beside it if requested."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from robot_runner.core.config.experiment import Experiment
 from robot_runner.core.errors import ExecutionError, Finding, RobotRunnerError
 from robot_runner.core.execution.notices import ExperimentFinished
 from robot_runner.core.execution.orchestrator import execute_experiment
-from robot_runner.core.execution.recovery import Resumption
+from robot_runner.core.execution.resumption import Resumption
 
 #: How long the page may take to listen, and to end, s; a Raspberry Pi takes some seconds to import its libraries.
 _DEADLINE, _ENDING = 60.0, 3.0
@@ -48,12 +48,12 @@ class Execution:
 
     @property
     def exit_code(self) -> int:
-        """0: all that was asked for is done; 1: a run failed; 130: the user ended it."""
+        """0: all chosen runs are done; 1: a run failed; 130: the user ended it."""
         if self.finished is None:
             return SOME_FAILED
         if self.finished.interrupted:
             return INTERRUPTED
-        return SOME_FAILED if self.finished.failed_count or self.finished.stopped_by_policy else 0
+        return SOME_FAILED if self.finished.failed_count or self.finished.stopped_by else 0
 
 
 def execute_on_screen(
@@ -87,7 +87,7 @@ def execute_on_screen(
 
 @contextmanager
 def read_or_not() -> Iterator[None]:
-    """While the end is printed: ignore that nobody reads it, as that says nothing about the experiment."""
+    """While the end is printed: ignore a broken pipe, which is no failure of the experiment."""
     try:
         yield
         sys.stdout.flush()
@@ -129,7 +129,7 @@ def _parts(address: str) -> tuple[str | None, str | None]:
 
 
 def _told(page: subprocess.Popen[bytes], address: str | None) -> str:
-    """Return what the page printed, once it listens.
+    """Return the output of the page, once it listens.
 
     Raises:
         ExecutionError: it ended, or did not listen in time.

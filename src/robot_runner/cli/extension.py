@@ -27,21 +27,22 @@ from robot_runner.core.design.batches import (
 )
 from robot_runner.core.design.columns import WARM_UP
 from robot_runner.core.design.design import Design
+from robot_runner.core.design.extended_design import Additions, Begun, ExtendedDesign, extended_design
 from robot_runner.core.design.factor import Combination, Factor
-from robot_runner.core.design.growing import Additions, Begun, GrownDesign, grown_design
 from robot_runner.core.design.planned_runs import PlannedRun, RunOrder
 from robot_runner.core.design.run_table_model import RunTableModel
 from robot_runner.core.errors import DesignError, ExecutionError, Finding
-from robot_runner.core.execution.begun_experiment import shown_config, unplanned_additions
-from robot_runner.core.execution.circumstances import keep_config_files, kept_manifest, restored_manifest
+from robot_runner.core.execution.before_first_run import shown_config, unplanned_additions
 from robot_runner.core.execution.given_values import accept_given
+from robot_runner.core.execution.manifest_content import keep_config_files, kept_manifest, restored_manifest
 from robot_runner.core.execution.recovered_table import RecoveredTable
-from robot_runner.core.execution.recovery import ACCEPT, Resumption, TableDisagreementError, config_changes
+from robot_runner.core.execution.resumption import ACCEPT, Resumption, TableDisagreementError, config_changes
 from robot_runner.core.execution.table_recovery import recover_table
+from robot_runner.core.storage.guarded_files import sha256_of
 from robot_runner.core.storage.journal import Journal, read_journal, utc_now
 from robot_runner.core.storage.lock import ExperimentLock
 from robot_runner.core.storage.manifest import write_manifest
-from robot_runner.core.storage.run_table_reading import digest_of, read_run_table
+from robot_runner.core.storage.run_table_reading import read_run_table
 from robot_runner.core.storage.run_table_rows import RunTableRows, write_run_table
 from robot_runner.core.storage.table_columns import FactorColumn
 from robot_runner.core.words import counted
@@ -49,7 +50,7 @@ from robot_runner.core.words import counted
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ExtensionRequest:
-    """What the user asks for.
+    """The additions that the user requests.
 
     Attributes:
         added: what is added beyond what the config has.
@@ -68,7 +69,7 @@ class ExtensionRequest:
 
 @dataclass(frozen=True, slots=True)
 class Extension:
-    """What was added to an experiment, or would be.
+    """The runs that were added to an experiment, or would be.
 
     Attributes:
         batch: the new one.
@@ -124,14 +125,14 @@ class _Extending:
             ExecutionError.refuse(config_changes(self._experiment, of_design=False, of_settings=False))
         recovered = self._recovered()
         begun = self._begun(recovered.rows)
-        design = grown_design(begun, self._config, self._request.added)
+        design = extended_design(begun, self._config, self._request.added)
         batches = self._experiment.model.batches or (first_batch(begun, self._first_order()),)
         seed = self._request.seed if self._request.seed is not None else randbits(32)
         order = RunOrder(shuffle=not self._request.as_written, blocks=self._config.blocks, seed=seed)
         wanted = None
         if is_in_order := decides_order(self._config.design):
             self._refuse_order(batches[0].order)
-            wanted = runs_of_grown_design(begun, self._config, design, batches[0].order)
+            wanted = runs_of_extended_design(begun, self._config, design, batches[0].order)
             order = RunOrder(seed=batches[0].order.seed)  # of what is in order already
         number = len(batches) + 1
         batch = next_batch(begun, design, self._config.warm_up, order=order, number=number, at=utc_now(), wanted=wanted)
@@ -196,7 +197,7 @@ class _Extending:
             problem = "the run table is missing and the design has changed: nothing tells which runs were planned"
             fix = "Restore the run table. Or undo the change, and execute the experiment: the table is rebuilt."
             raise ExecutionError(problem, where=str(path), fix=fix)
-        if digest_of(path) != written[-1] and not self._request.accept_changes:
+        if sha256_of(path) != written[-1] and not self._request.accept_changes:
             problem = "both the config's design and the run table were changed: nothing tells which runs were planned"
             fix = f"Undo one of them, or let the table count ({ACCEPT})."
             raise ExecutionError(problem, where=str(path), fix=fix)
@@ -269,8 +270,8 @@ class _Extending:
         write_manifest(self._folder.manifest, self._manifest)
 
 
-def runs_of_grown_design(
-    begun: Begun, config: RunTableModel, design: GrownDesign, order: RunOrder
+def runs_of_extended_design(
+    begun: Begun, config: RunTableModel, design: ExtendedDesign, order: RunOrder
 ) -> list[tuple[Combination, int]]:
     """Return the runs that the design plans beyond the existing ones, in the design's order, made from its first seed.
 

@@ -51,7 +51,7 @@ def _executed(command: Callable[[], int], *, show_traceback: bool) -> int:
 
 
 def show_fault(error: Exception, *, show_traceback: bool) -> None:
-    """Say that this is a fault of Robot Runner; the traceback goes to the terminal, or to a file that is named."""
+    """Print that this is a fault of Robot Runner; the traceback goes to the terminal, or to a file that is named."""
     import traceback  # noqa: PLC0415 - as above
 
     from robot_runner.cli.findings import show_findings  # noqa: PLC0415 - as above
@@ -88,7 +88,7 @@ def _kept(text: str) -> str:
 
 
 def _lacking_memory(error: MemoryError, *, show_traceback: bool) -> int:
-    """Say that there is not enough memory, with what is imported already: more may not fit into it."""
+    """Print that there is not enough memory, without importing anything: it may not fit."""
     problem = f"there is not enough memory for this{f': {error}' if str(error) else ''}"
     fix = "End other programs, raise the limit of memory (ulimit -v, a container's), or use a larger machine."
     sys.stderr.write(f"error: this machine: {problem}\n  fix: {fix}\n")
@@ -141,7 +141,7 @@ def _missing_folder(error: FileNotFoundError) -> tuple[str, str] | None:
 
 
 def _replace_closed_streams() -> None:
-    """Open the null device in place of a closed standard stream: what is printed would go to the next opened file."""
+    """Open the null device in place of a closed standard stream: output would go to the next opened file."""
     import os  # noqa: PLC0415 - as above
 
     for number, name in enumerate(("stdin", "stdout", "stderr")):

@@ -48,7 +48,7 @@ def let_go_of(stream: TextIO) -> None:
 
 
 class _LastingStream:
-    """A text stream that drops what cannot be written, and says so once; it is otherwise unchanged."""
+    """A text stream that drops text which cannot be written, and reports that once; otherwise unchanged."""
 
     def __init__(self, stream: TextIO, say: Callable[[str], object]) -> None:
         self._stream = stream
@@ -68,7 +68,7 @@ class _LastingStream:
             self.write(line)
 
     def flush(self) -> None:
-        """Flush what was written, or drop it."""
+        """Flush the buffer, or drop its text."""
         try:
             self._stream.flush()
         except OSError as error:

@@ -31,7 +31,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     code = guarded(lambda: _execute(words), show_traceback="--debug" in words)
     # Where a config was loaded, a thread or child process that it started may still be running.
     if argv is None and "robot_runner.core.config.loader" in sys.modules:
-        from robot_runner.cli.leaving import leave_in_time  # noqa: PLC0415 - for a quick --help
+        from robot_runner.cli.timely_exit import leave_in_time  # noqa: PLC0415 - for a quick --help
 
         leave_in_time(code)
     return code

@@ -16,7 +16,7 @@ class UsageError(RobotRunnerError):
 
 
 class _Folding(argparse.RawDescriptionHelpFormatter):
-    """Folds the paragraphs of a description to the terminal; what is indented, such as an example, stays as it is."""
+    """Folds the paragraphs of a description to the terminal; indented lines, such as examples, stay as they are."""
 
     def _fill_text(self, text: str, width: int, indent: str) -> str:
         del indent  # of groups, which have no description here
@@ -67,7 +67,7 @@ class Parser(argparse.ArgumentParser):
         return action  # type: ignore[no-any-return]
 
     def parse(self, words: Sequence[str]) -> argparse.Namespace:
-        """Return what the words mean.
+        """Return the parsed words.
 
         Raises:
             UsageError: there is no such option, one lacks its value, or there are too many words.
@@ -163,7 +163,7 @@ def add_target(parser: Parser, *, is_the_only_one: bool = False) -> None:
 
 
 def add_set(parser: Parser) -> None:
-    """Add what takes the place of a value in the config."""
+    """Add the option that replaces a value of the config."""
     parser.add_argument(
         "--set",
         metavar="NAME=VALUE",

@@ -1,4 +1,4 @@
-"""What an experiment would execute: the run table as it is planned from the config, or as it stands in the folder."""
+"""The runs that an experiment would execute: planned from the config, or by the run table in the folder."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from robot_runner.cli.console import quiet_loading, shown_path
 from robot_runner.cli.design_words import later_orders_in_words, shown_order
 from robot_runner.core.config.checks import create_model, read_parameters
 from robot_runner.core.config.dialects import load_config
-from robot_runner.core.config.experiment import event_manager_for, experiment_folder, grown_model
+from robot_runner.core.config.experiment import event_manager_for, experiment_folder, extended_model
 from robot_runner.core.config.loader import LoadedConfig, parse_assignments
 from robot_runner.core.config.parameters import Parameters
 from robot_runner.core.config.plugin_checks import companions, gather_plugins
@@ -23,13 +23,13 @@ from robot_runner.core.design.precision import rule_in_words
 from robot_runner.core.design.run_table_model import RunTableModel
 from robot_runner.core.errors import ConfigError, Finding, StorageError
 from robot_runner.core.events.measure import MeasureColumns
-from robot_runner.core.execution.begun_experiment import unplanned_additions
+from robot_runner.core.execution.before_first_run import unplanned_additions
 from robot_runner.core.execution.deciding import asking_of, what_follows
 from robot_runner.core.execution.durations import Durations, Estimate, durations_of
 from robot_runner.core.execution.experiment_history import ExperimentHistory
 from robot_runner.core.execution.probe import probe_window_of, probed_plugins
 from robot_runner.core.execution.recovered_table import lacks_runs
-from robot_runner.core.execution.recovery import table_differences
+from robot_runner.core.execution.resumption import table_differences
 from robot_runner.core.execution.table_recovery import is_reordered
 from robot_runner.core.plugin import Plugin
 from robot_runner.core.storage.executed_runs import moved_in_words, moved_runs
@@ -86,7 +86,7 @@ class Plan:
 
     @property
     def how_to_repeat(self) -> str:
-        """What makes the same order again."""
+        """How to make the same order again."""
         if self.source is not None or not (self.model.shuffle or self.model.batches):
             return ""
         if self.is_recorded:
@@ -119,7 +119,7 @@ def plan_of(config: Path, overrides: Mapping[str, str]) -> Plan:
     folder = None
     if parameters is not None:
         folder = experiment_folder(parameters, loaded)
-        model = grown_model(model, folder)
+        model = extended_model(model, folder)
         plugins = (*companions(parameters, plugins)[0], *plugins)
     column_findings: list[Finding] = []
     columns = measure_columns(loaded, model, plugins, parameters, column_findings)
@@ -156,7 +156,7 @@ def _with_duration(
     window = probe_window_of(probed_plugins(plugins, events, parameters)) if parameters.probe else 0.0
     probed = window * max(1, len(parameters.robots))  # beside one robot after another
     estimate = durations.estimate(probe_s=probed)
-    findings = (*plan.findings, *durations.knowledge.findings)
+    findings = (*plan.findings, *durations.declared.findings)
     return replace(plan, duration=estimate, durations=durations, findings=findings)
 
 

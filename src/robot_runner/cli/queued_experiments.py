@@ -1,4 +1,4 @@
-"""The queue of a user's experiments on this machine: a file for each, so that it outlives whoever executes them.
+"""The queue of a user's experiments on this machine: a file for each, so that it outlives the executing process.
 
 `$XDG_STATE_HOME/robot-runner/queue/<host>` is writable for the user alone, as what is in it is executed. Experiment 7
 is `7.json`. The process that executes it holds a lock on `7.lock`, which the system releases however the process ends:
@@ -124,7 +124,7 @@ class ExperimentQueue:
         return added
 
     def read(self) -> tuple[list[QueuedExperiment], list[Finding]]:
-        """Return what is in the queue, in order, and a finding for each file that is damaged.
+        """Return the experiments in the queue, in order, and a finding for each damaged file.
 
         Raises:
             StorageError: the folder cannot be read.
@@ -138,7 +138,7 @@ class ExperimentQueue:
         return found, findings
 
     def write(self, queued: QueuedExperiment) -> None:
-        """Write what is known of an experiment to the disk, completely or not at all.
+        """Write the file of an experiment, completely or not at all.
 
         Raises:
             StorageError: it cannot be written.
@@ -197,7 +197,7 @@ class ExperimentQueue:
 
     @contextmanager
     def attended(self) -> Iterator[None]:
-        """While this lasts, others see that somebody executes what is in the queue."""
+        """While this lasts, other processes see that the queue is executed."""
         descriptor = open_to_lock(self.folder / _ATTENDED, self.folder)
         try:
             fcntl.lockf(descriptor, fcntl.LOCK_SH)  # several may at once
@@ -207,7 +207,7 @@ class ExperimentQueue:
 
     @property
     def is_attended(self) -> bool:
-        """Whether another process executes what is in the queue, or waits until that is possible."""
+        """Whether another process executes the queue, or waits until that is possible."""
         descriptor = open_to_lock(self.folder / _ATTENDED, self.folder)
         try:
             fcntl.lockf(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)

@@ -42,7 +42,7 @@ _REST, _LONGEST_REST = 1.0, 60.0
 
 
 def named(queued: QueuedExperiment) -> str:
-    """Return what an experiment of the queue is called in messages."""
+    """Return the name of a queued experiment in messages."""
     return f"{queued.number} ({queued.experiment})"
 
 
@@ -63,7 +63,7 @@ def digest_of(config: str) -> str:
 
 
 def awaited_by(queue: ExperimentQueue, queued: QueuedExperiment, known: Sequence[QueuedExperiment]) -> str:
-    """Return what an experiment waits for, and since when; empty where it could begin now. `known` is the queue."""
+    """Return in words why an experiment waits, and since when; empty where it could begin. `known` is the queue."""
     others = [each for each in claim_holders(queued.claims).items() if each[1].folder != queued.results]
     if others:
         return "; ".join(f"{claim}, in use by {holder.in_words()}" for claim, holder in others)
@@ -120,7 +120,7 @@ def _end_of_earlier(queued: QueuedExperiment) -> tuple[int | None, str]:
 
 
 def _change(queued: QueuedExperiment) -> str:
-    """Say on stderr, and return, that the config is not what it was when the experiment was added; nothing if it is."""
+    """Print to stderr, and return, that the config has changed since the experiment was added; empty if not."""
     try:
         is_changed = digest_of(queued.config) != queued.config_sha256
     except StorageError:
@@ -133,7 +133,7 @@ def _change(queued: QueuedExperiment) -> str:
 
 
 def _executed(queued: QueuedExperiment) -> tuple[int, str]:
-    """Execute it as `robot-runner run` does, and return the exit code, with what went wrong."""
+    """Execute it as `robot-runner run` does, and return the exit code, and the problem."""
     reason: list[str] = []
 
     def executed() -> int:
@@ -165,7 +165,7 @@ def _reason(code: int, queued: QueuedExperiment) -> str:
 
 
 class QueueRunner:
-    """Executes what is in the queue: the first experiment whose claims are free, then the next, until none is left.
+    """Executes the queue: the first experiment whose claims are free, then the next, until none is left.
 
     None overtakes an earlier one that claims the same. Several runners may work at once, each on another experiment. A
     stop signal is passed on to the experiment that is being executed; the runner ends after it.

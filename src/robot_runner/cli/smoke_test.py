@@ -1,4 +1,4 @@
-"""A smoke test of an experiment: one run of each treatment, as short as possible, and what it proves."""
+"""A smoke test of an experiment: one run of each treatment, as short as possible, and its result."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from robot_runner.core.config.parameters import PARAMETERS, OperationType
 from robot_runner.core.design.planned_runs import PlannedRun
 from robot_runner.core.errors import Finding, PluginError, did_you_mean
 from robot_runner.core.execution.durations import Durations, Estimate, durations_of
-from robot_runner.core.execution.mission_knowledge import CombinationKey, combination_key
+from robot_runner.core.execution.known_durations import CombinationKey, combination_key
 from robot_runner.core.late_annotations import signature_of
 from robot_runner.core.links.connect import is_simulated
 from robot_runner.core.links.declared_host import Host, Reboot
@@ -45,7 +45,7 @@ def covering_runs(plan: Sequence[PlannedRun]) -> list[PlannedRun]:
 
 @dataclass(slots=True)
 class Shortening:
-    """What was set so that a smoke test is quick.
+    """The parameters that were set so that a smoke test is quick.
 
     Attributes:
         parameters: of plugins, as they were given: `BasicTurtlebot3.task_s = 2.0`.
@@ -63,7 +63,7 @@ class Shortening:
 def shortened_loader(
     load: Callable[[Path, Mapping[str, str]], LoadedConfig], folder: Path, told: Shortening
 ) -> Callable[[Path, Mapping[str, str]], LoadedConfig]:
-    """Return what loads a config as `load` does, shortens it (`told` takes that down), and has results in `folder`."""
+    """Return a loader as `load` that shortens the config, notes that in `told`, and has results in `folder`."""
 
     def shortened(path: Path, overrides: Mapping[str, str]) -> LoadedConfig:
         loaded = load(path, overrides)
@@ -171,7 +171,7 @@ def _set_attributes(
 
 @dataclass(frozen=True, slots=True)
 class SmokeResult:
-    """What a smoke test has shown.
+    """The result of a smoke test.
 
     Attributes:
         treatments: the treatments that were executed well, in words, by factor.
@@ -197,7 +197,7 @@ class SmokeResult:
 def result_of(
     experiment: Experiment, plan: Sequence[PlannedRun], chosen: Sequence[PlannedRun], told: Shortening
 ) -> SmokeResult:
-    """Read what the chosen runs of a smoke test have left in its folder; `plan` are all runs of the study."""
+    """Read the results of a smoke test's runs from its folder; `plan` are all runs of the study."""
     ends = {record["run"]: record for record in read_journal(experiment.folder.journal, kinds={"attempt_finished"})}
     done = [run for run in chosen if ends.get(run.run_id, {}).get("status") == "done"]
     missing: dict[str, int] = {}
@@ -251,7 +251,7 @@ def _not_proved(
 def study_estimate(
     study: Durations, experiment: Experiment, chosen: Sequence[PlannedRun], result: SmokeResult, told: Shortening
 ) -> Estimate:
-    """Return how long the study takes; what is known of that (`study`) is taught what the smoke test has shown.
+    """Return how long the study takes; the durations of the smoke test are added to those of the `study`.
 
     Where missions were shortened, what the runs took beyond what plugins say of the shortened ones is added to what
     they say of the whole ones; where nobody says anything, nothing is learnt.
@@ -261,12 +261,12 @@ def study_estimate(
     smoke = durations_of(*parts, combinations, experiment.folder.root / "nothing")
     for run in chosen:
         seconds = result.seconds.get(run.run_id)
-        short, whole = smoke.said_of(run.combination), study.said_of(run.combination)
+        short, whole = smoke.declared_of(run.combination), study.declared_of(run.combination)
         if seconds is None or (told.missions and (short is None or whole is None)):
             continue
         study.learn(run.combination, seconds + ((whole or 0.0) - (short or 0.0) if told.missions else 0.0))
     estimate = study.estimate()
     if estimate.seconds is None or not told.attributes:
         return estimate
-    longer = f"what takes longer without {listed(told.attributes)}"
+    longer = f"longer runs without {listed(told.attributes)}"
     return replace(estimate, is_least=True, unknown=(*estimate.unknown, longer))

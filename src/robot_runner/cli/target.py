@@ -80,7 +80,7 @@ def _names_in(folder: Path) -> list[str]:
 
 
 def _named_experiments(folder: Path) -> Iterator[str]:
-    """Yield what in a folder names an experiment: its folder, one that holds some, or a file that may be a config."""
+    """Yield names of experiments in a folder: their folders, folders that hold some, files that may be configs."""
     for name in _names_in(folder):
         if next(_experiments(folder / name, 1), None) or (name.endswith(".py") and os.path.isfile(folder / name)):  # noqa: PTH113 - as above
             yield name

@@ -5,7 +5,6 @@ from __future__ import annotations
 import ast
 import importlib
 import importlib.util
-import inspect
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -27,7 +26,7 @@ from robot_runner.core.execution.notices import AttemptFinished, Notice, RunReco
 from robot_runner.core.execution.orchestrator import execute_experiment
 from robot_runner.core.execution.probe import without_values
 from robot_runner.core.execution.task import AttemptStatus, RunOutcome
-from robot_runner.core.late_annotations import signature_of
+from robot_runner.core.late_annotations import OPEN_KINDS, signature_of
 from robot_runner.core.plugin import Plugin, installed_plugins, load_plugin, refused_name
 from robot_runner.core.storage.guarded_files import open_to_read, read_json, read_text
 from robot_runner.core.storage.journal import seconds_of
@@ -96,7 +95,7 @@ class Trial:
 
 
 class _Witness(SilentObserver):
-    """An observer that writes down what a run reports, and shows nothing."""
+    """An observer that records the reports of a run, and shows nothing."""
 
     def __init__(self) -> None:
         self.records: list[RunRecord] = []
@@ -213,7 +212,6 @@ def _raw_file(path: Path, folder: Path) -> RawFile:
 
 
 _ROBOT = "robot"
-_COLLECTING = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
 
 
 def make_plugin(chosen: str, values: Mapping[str, str]) -> tuple[Plugin, str | None]:
@@ -230,7 +228,7 @@ def make_plugin(chosen: str, values: Mapping[str, str]) -> tuple[Plugin, str | N
     parameters = signature_of(kind).parameters
     robot = None if _ROBOT in parameters else values.get(_ROBOT)
     own = {name: text for name, text in values.items() if name in parameters or name != _ROBOT}
-    _check_names(kind, parameters, own)
+    _check_names(kind, own)
     try:
         plugin = kind(**{name: parsed_value(text) for name, text in own.items()})
     except PluginError:
@@ -242,18 +240,19 @@ def make_plugin(chosen: str, values: Mapping[str, str]) -> tuple[Plugin, str | N
     return plugin, robot
 
 
-def _check_names(kind: type, parameters: Mapping[str, inspect.Parameter], own: Mapping[str, str]) -> None:
+def _check_names(kind: type, own: Mapping[str, str]) -> None:
     """Refuse a parameter that the class does not have, and name those without which it cannot be made.
 
     Raises:
         PluginError: there is one.
     """
+    parameters = signature_of(kind).parameters
     takes_any = any(each.kind is each.VAR_KEYWORD for each in parameters.values())
     unknown = [name for name in own if name not in parameters and not takes_any]
     if unknown:
         fix = did_you_mean(unknown[0], [*parameters, _ROBOT])
         raise PluginError(f"the plugin has no parameter {unknown[0]!r}", where=kind.__name__, fix=fix)
-    needed = [name for name, each in parameters.items() if each.default is each.empty and each.kind not in _COLLECTING]
+    needed = [name for name, each in parameters.items() if each.default is each.empty and each.kind not in OPEN_KINDS]
     missing = [name for name in needed if name not in own]
     if missing:
         settings = " ".join(f"--set {name}=..." for name in missing)

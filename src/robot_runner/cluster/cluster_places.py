@@ -19,7 +19,7 @@ from robot_runner.cluster.piped_process import PipedProcess
 from robot_runner.cluster.run_at_worker import LOOK_AT_ROBOT, RunAtWorker, may_be_left_moving
 from robot_runner.core.config.experiment import Experiment
 from robot_runner.core.errors import ExecutionError, Finding
-from robot_runner.core.execution.left_over import MARK_OF_ELSEWHERE, RunsElsewhere, forget_runs_elsewhere
+from robot_runner.core.execution.left_processes import MARK_OF_ELSEWHERE, RunsElsewhere, forget_runs_elsewhere
 from robot_runner.core.execution.places import Watch
 from robot_runner.core.execution.standby import RETRYING
 from robot_runner.core.execution.task import OutcomeBuilder, RunTask

@@ -17,7 +17,7 @@ from robot_runner.core.config.plugin_checks import check_plugins
 from robot_runner.core.config.preparation import prepare
 from robot_runner.core.design.batches import EXTENDED
 from robot_runner.core.errors import ConfigError, ExecutionError, Finding
-from robot_runner.core.execution.recovery import config_files
+from robot_runner.core.execution.resumption import config_files
 from robot_runner.core.execution.worker import describe_revisions, restore_revisions
 from robot_runner.core.links.connect import link_findings
 from robot_runner.core.storage.input_files import copy_kept, kept_copies, missing_inputs

@@ -37,7 +37,7 @@ from robot_runner.cluster.piped_process import Replies
 from robot_runner.cluster.raw_data_transfer import TransferError, bring_home
 from robot_runner.cluster.run_host import ended_unbegun
 from robot_runner.core.errors import StorageError
-from robot_runner.core.execution.left_over import renew_mark
+from robot_runner.core.execution.left_processes import renew_mark
 from robot_runner.core.execution.run_records import RecordReader
 from robot_runner.core.storage.layout import ExperimentFolder
 

@@ -32,10 +32,10 @@ from robot_runner.core.config.claims import Claims
 from robot_runner.core.config.experiment import Experiment
 from robot_runner.core.errors import ExecutionError, RobotRunnerError
 from robot_runner.core.execution.clock_jumps import now_counting_suspension
-from robot_runner.core.execution.executor import begin_run, load_before_forks
 from robot_runner.core.execution.interruption import Interruption
 from robot_runner.core.execution.keeper import reap_keepers
 from robot_runner.core.execution.left_systems import goes_on
+from robot_runner.core.execution.local_places import begin_run, load_before_forks
 from robot_runner.core.execution.places import RunInFlight, Watch
 from robot_runner.core.execution.processes import use_no_streams
 from robot_runner.core.execution.run_records import RecordReader, RecordWriter

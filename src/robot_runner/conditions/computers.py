@@ -240,7 +240,8 @@ class _HostAnswers(_OfComputer):
 
 #: The throttling state of a Raspberry Pi's firmware. Bit 0 is under-voltage, bits 1 to 3 are frequency capped,
 #: throttled and soft temperature limit, all at this moment. Source: Raspberry Pi documentation, vcgencmd get_throttled.
-_FIRMWARE = "/sys/devices/platform/soc/soc:firmware/get_throttled"
+#: On a Raspberry Pi 5 it is `soc@107c000000` (raspberrypi/linux, bcm2712.dtsi).
+_FIRMWARE = "/sys/devices/platform/soc*/soc*:firmware/get_throttled"
 _HELD_BACK_NOW = 0b1111
 _COUNTERS = "/sys/devices/system/cpu/cpu[0-9]*/thermal_throttle/*_throttle_count"
 
@@ -257,8 +258,9 @@ class _Throttled(_OfComputer):
 
         def look() -> Look:
             nonlocal before
-            counters = link.list_files(_COUNTERS)
-            flags, *counts = link.read_files([_FIRMWARE, *counters])
+            firmware, counters = link.list_files(_FIRMWARE)[:1], link.list_files(_COUNTERS)
+            texts = link.read_files([*firmware, *counters])
+            flags, counts = (texts[0] if firmware else None), texts[len(firmware) :]
             if flags is None and not counts:
                 seen = f"{self.computer} does not tell whether its processor is throttled"
                 return Look(holds=False, seen=seen, is_known=False)

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import inspect
 import sys
-from collections.abc import Callable, Iterator
-from types import CodeType
-from typing import Any
+from collections.abc import Callable, Iterator, Mapping
+from types import CodeType, NoneType
+from typing import Any, NamedTuple
 
 if sys.version_info >= (3, 14):
     from annotationlib import Format
@@ -30,6 +30,83 @@ def signature_of(called: Callable[..., Any]) -> inspect.Signature:
     if sys.version_info >= (3, 14):
         return inspect.signature(called, annotation_format=Format.STRING)
     return inspect.signature(called)
+
+
+def parameters_of(kind: type) -> dict[str, inspect.Parameter]:
+    """Return the parameters of a class, by name; with `**keywords`, those of its parents as well.
+
+    `*arguments` are among them; `**keywords` come last, unless a parent takes none.
+
+    Example:
+        >>> class Meter:
+        ...     def __init__(self, rate_hz=1.0): ...
+        >>> class Powermeter(Meter):
+        ...     def __init__(self, port, **keywords): ...
+        >>> list(parameters_of(Powermeter))
+        ['port', 'rate_hz']
+    """
+    found: dict[str, inspect.Parameter] = {}
+    keywords: dict[str, inspect.Parameter] = {}
+    for parent in kind.__mro__[:-1]:
+        if "__init__" in vars(parent):
+            own = list(signature_of(vars(parent)["__init__"]).parameters.values())[1:]
+            keywords = {each.name: each for each in own if each.kind is each.VAR_KEYWORD}
+            found |= {each.name: each for each in own if each.name not in {**keywords, **found}}
+            if not keywords:
+                break
+    return found | keywords
+
+
+#: The kinds of parameters that take any number of arguments.
+OPEN_KINDS = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
+_PLAIN = {"bool": bool, "int": int, "float": float, "str": str, "None": NoneType}
+_IN_WORDS = {bool: "True or False", int: "a whole number", float: "a number", str: "a text", NoneType: "None"}
+
+
+class Mistyped(NamedTuple):
+    """An argument of another type than its parameter is annotated with.
+
+    Attributes:
+        name: of the parameter.
+        value: the argument.
+        types: those of the parameter.
+    """
+
+    name: str
+    value: Any
+    types: tuple[type, ...]
+
+    @property
+    def problem(self) -> str:
+        """The argument, in words."""
+        return f"{self.name} is {self.value!r}, of type {type(self.value).__name__}"
+
+    @property
+    def fix(self) -> str:
+        """What is to be given in its place, in words."""
+        return f"Give {' or '.join(_IN_WORDS[each] for each in self.types)}."
+
+
+def mistyped(called: Callable[..., Any], given: Mapping[str, Any]) -> Iterator[Mistyped]:
+    """Yield the arguments of another type than their parameter, where that is annotated with plain types alone.
+
+    Raises:
+        TypeError: it cannot be called.
+        ValueError: it is written in C, and has no signature.
+
+    Example:
+        >>> def drive(speed: float, is_fast: bool = False, places: "list[str] | None" = None): ...
+        >>> [(each.problem, each.fix) for each in mistyped(drive, {"speed": 1, "is_fast": "no", "places": "x"})]
+        [("is_fast is 'no', of type str", 'Give True or False.')]
+    """
+    for name, parameter in signature_of(called).parameters.items():
+        if name not in given or parameter.kind in OPEN_KINDS:
+            continue
+        value, annotation = given[name], parameter.annotation
+        text = annotation.__name__ if isinstance(annotation, type) else str(annotation)
+        types = tuple(_PLAIN.get(part.strip(), object) for part in text.split("|"))
+        if not isinstance(value, (*types, int) if float in types else types):
+            yield Mistyped(name, value, types)
 
 
 def names_in(parent: type) -> set[str]:

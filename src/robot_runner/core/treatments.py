@@ -1,16 +1,19 @@
-"""Binding parameters of plugins to factors (`treatment(...)`)."""
+"""Parameters of plugins: bound to factors (`treatment(...)`), and not to be set once a plugin is built."""
 
 from __future__ import annotations
 
 import inspect
-from collections.abc import Iterator, Mapping
+import sys
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass
 from functools import lru_cache
+from types import FrameType
 from typing import Any, NoReturn, Self
 
-from robot_runner.core.errors import PluginError, did_you_mean
-from robot_runner.core.late_annotations import signature_of
-from robot_runner.core.vain_parameters import check_set, parameters_of
+from robot_runner.core.errors import PluginError, did_you_mean, nearest
+from robot_runner.core.late_annotations import OPEN_KINDS, parameters_of, signature_of
 from robot_runner.core.words import INACTIVE
 
 _BINDING = "_robot_runner_binding"
@@ -222,7 +225,7 @@ class Bindable:
             PluginError: the code of a config sets a parameter.
         """
         kind: Any = type(self)
-        check_set(kind, name, value)
+        _check_set(kind, name, value)
         super().__setattr__(name, value)
 
 
@@ -296,8 +299,8 @@ def give_again(plugin: Bindable, changed: Mapping[str, Any]) -> None:
     kind: Any = type(plugin)
     given, factors = given_to(plugin), factors_of(plugin)
     for name in changed:
-        if name not in parameters_of(kind):
-            fix = did_you_mean(name, parameters_of(kind))
+        if name not in _given_by_name(kind):
+            fix = did_you_mean(name, _given_by_name(kind))
             raise PluginError(f"the plugin has no parameter {name!r}", where=kind.__name__, fix=fix)
         if name in factors:
             fix = "Leave it as it is, or vary it over other treatments."
@@ -310,3 +313,74 @@ def give_again(plugin: Bindable, changed: Mapping[str, Any]) -> None:
     made = kind(**{**given, **changed})
     vars(plugin).clear()
     vars(plugin).update(vars(made))
+
+
+# Parameters that the code of a config sets after the plugin was built: most plugins never read them again.
+
+#: The name of a config file's module.
+CONFIG_MODULE = "robot_runner_config"
+
+#: While the code of a config is executed: the combination of the run, or nothing before there is one.
+_guarded: ContextVar[Iterable[str] | None] = ContextVar("guarded", default=None)
+
+
+@contextmanager
+def parameters_guarded(factors: Iterable[str] = ()) -> Iterator[None]:
+    """Refuse parameters of plugins that the code of a config sets, in this thread; `factors` are for the fix."""
+    token = _guarded.set(factors)
+    try:
+        yield
+    finally:
+        _guarded.reset(token)
+
+
+def _check_set(kind: type, name: str, value: object) -> None:
+    """Check an attribute of a plugin that is being set; called by its `__setattr__`.
+
+    Raises:
+        PluginError: the code of a config sets a parameter.
+    """
+    combination = _guarded.get()
+    if combination is not None and name in _given_by_name(kind) and _is_set_from_outside(kind, name):
+        raise _vain(kind.__name__, name, value, combination)
+
+
+@lru_cache
+def _given_by_name(kind: type) -> frozenset[str]:
+    """Return the names of the parameters that can be given by name where a plugin is made."""
+    return frozenset(name for name, each in parameters_of(kind).items() if each.kind not in OPEN_KINDS)
+
+
+def _is_set_from_outside(kind: type, name: str) -> bool:
+    """Return whether an attribute is set by other code than the plugin's own; False if in doubt."""
+    if hasattr(getattr(kind, name, None), "__set__"):  # a property with a setter is meant to be set
+        return False
+    frame: FrameType | None = sys._getframe(3)  # noqa: SLF001 - who sets the attribute is told by nothing else
+    packages = {each.__module__.partition(".")[0] for each in kind.__mro__} - {CONFIG_MODULE}
+    if frame is not None and frame.f_globals.get("__name__", "").partition(".")[0] in packages:
+        return False
+    own_names, own_code = _own_code(kind)
+    while frame is not None:
+        if frame.f_code in own_code or frame.f_code.co_qualname.startswith(own_names):
+            return False
+        frame = frame.f_back
+    return True
+
+
+@lru_cache
+def _own_code(kind: type) -> tuple[tuple[str, ...], frozenset[object]]:
+    """Return the prefixes of the qualified names of a plugin's methods, and the code of methods with other names."""
+    found = (getattr(value, "__func__", value) for each in kind.__mro__[:-1] for value in vars(each).values())
+    code = frozenset(each.__code__ for each in found if hasattr(each, "__code__"))
+    return tuple(f"{each.__qualname__}." for each in kind.__mro__[:-1]), code
+
+
+def _vain(kind: str, name: str, value: object, factors: Iterable[str]) -> PluginError:
+    known = list(factors)
+    factor = nearest(name, known) or (known[0] if len(known) == 1 else name.capitalize())
+    return PluginError(
+        f"{name} is a parameter of {kind}: changing it has no effect once it is built",
+        where=kind,
+        fix=f"To vary it, bind it: {kind}({name}=treatment({factor!r})). "
+        f"Otherwise give it where {kind} is made: {kind}({name}={value!r}).",
+    )

@@ -14,6 +14,8 @@ _MINUTE = 60
 _HOUR = 3600
 _SHOWN = 4
 _MISSING = "\N{EN DASH}"  # not a hyphen, which is a run that is still to do
+#: An empty treatment, where it stands among others.
+EMPTY = "“”"
 #: Units, in lower case, of scales with an arbitrary zero (interval scales).
 _AGREED_ZEROS = frozenset(
     {"\N{DEGREE SIGN}c", "\N{DEGREE CELSIUS}".lower(), "degc", "celsius", "\N{DEGREE SIGN}f", "degf", "fahrenheit"}
@@ -104,13 +106,13 @@ def enumerated(words: Iterable[str]) -> str:
 
 
 def combination_label(treatments: Iterable[object]) -> str:
-    """Return the treatments of a combination as one text; a treatment with the separator in it is quoted.
+    """Return the treatments of a combination as one text; one with the separator in it, or an empty one, is quoted.
 
     Example:
-        >>> [combination_label(each) for each in (["Video", "lab"], ["Video", "lab / hall"], ["lab / hall"])]
-        ['Video / lab', 'Video / “lab / hall”', 'lab / hall']
+        >>> [combination_label(each) for each in (["Video", "lab"], ["Video", "lab / hall"], ["lab / hall"], [""])]
+        ['Video / lab', 'Video / “lab / hall”', 'lab / hall', '“”']
     """
-    texts = list(map(str, treatments))
+    texts = [str(each) or EMPTY for each in treatments]
     if len(texts) > 1:
         texts = [f"“{text}”" if " / " in f" {text} " else text for text in texts]
     return " / ".join(texts)
@@ -192,8 +194,8 @@ def has_true_zero(unit: str) -> bool:
 
 
 def shown_treatment(treatment: object) -> str:
-    """Return a treatment as the run table writes it, on one line."""
-    return one_line(str(treatment))
+    """Return a treatment as the run table writes it, on one line; an empty one is quoted."""
+    return one_line(str(treatment)) or EMPTY
 
 
 def plain(value: object) -> bool | int | float | str | None:

@@ -16,7 +16,7 @@ from robot_runner.core.entry_points import entry_points
 from robot_runner.core.errors import AnalysisError, ConfigError, ExecutionError, Finding, PluginError, RobotRunnerError
 from robot_runner.core.execution import notices
 from robot_runner.core.execution.orchestrator import execute_experiment
-from robot_runner.core.execution.recovery import Resumption
+from robot_runner.core.execution.resumption import Resumption
 from robot_runner.core.execution.task import AttemptStatus
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.run_table_reading import read_described_table
@@ -261,7 +261,7 @@ def _results(finished: notices.ExperimentFinished) -> ExperimentResults:
         failures=dict(each.split(": ", 1) for each in finished.failures),
         findings=tuple(finished.findings),
         is_interrupted=finished.interrupted,
-        is_stopped_by_policy=finished.stopped_by_policy,
+        is_stopped_by_policy=bool(finished.stopped_by),
         seconds=finished.seconds,
     )
 

@@ -21,7 +21,7 @@ from robot_runner.core.config.source import ConfigSource, parsed, read_source
 from robot_runner.core.errors import ConfigError, Finding
 from robot_runner.core.events.manager import recorded_subscriptions
 from robot_runner.core.storage.layout import ExperimentFolder
-from robot_runner.core.vain_parameters import parameters_guarded
+from robot_runner.core.treatments import parameters_guarded
 
 _NOT_REPLICABLE = "a replication package of it cannot be executed"
 _NO_FILE = "Write the class to a file and give its path: then all of it is kept."

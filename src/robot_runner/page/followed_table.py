@@ -174,7 +174,11 @@ class FollowedTable:
         self.warm_ups = frozenset(place for place, run in enumerate(planned) if run.is_warm_up)
         repetitions = ([(str(run.repetition),) for run in planned]) if layout.has_repetition else [()] * len(planned)
         self.treatments = [
-            (*(shown_treatment(each)[:_LONGEST] for each in run.combination.treatments), *repetition)
+            # An empty cell is the treatment "": a factor's cell is never missing.
+            (
+                *(shown_treatment("" if each is None else each)[:_LONGEST] for each in run.combination.treatments),
+                *repetition,
+            )
             for run, repetition in zip(planned, repetitions, strict=True)
         ]
         self.statuses = [rows.status(place) for place in range(len(rows))]

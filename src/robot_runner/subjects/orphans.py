@@ -11,7 +11,7 @@ import time
 from contextlib import suppress
 from pathlib import Path
 
-from robot_runner.core.execution.left_over import has_locked
+from robot_runner.core.execution.left_processes import has_locked
 from robot_runner.core.storage.outliving import has_in_environment, is_stopped, processes
 
 _VARIABLE = "ROBOT_RUNNER_START"

@@ -107,8 +107,8 @@ def test_each_treatment_is_executed_once_and_what_it_proves_is_told(
     assert "the operator's share between two runs" in answer.out
     assert "whole missions: Lap did less (Lap.seconds = 0.05)" in answer.out
     assert "Shortened   Lap.seconds = 0.05; settle_s = 0.0" in answer.out
-    assert "what takes longer without settle_s = 0.0" in answer.out
-    assert "26 runs of 1 min 0" in answer.out, "the whole missions, and what opens and closes a run"
+    assert "longer runs without settle_s = 0.0" in answer.out
+    assert "26 runs of 1 min 0" in answer.out, "the whole missions, and the other events of a run"
     assert "25 pauses of 1 min 00 s" in answer.out
     assert not (tmp_path / "results").exists(), "the study's own folder is not touched"
     assert list(scratch.iterdir()) == [], "and nothing is left of the scratch folder"

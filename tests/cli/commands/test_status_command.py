@@ -98,6 +98,7 @@ def test_json_holds_everything(robot_runner: Callable, half_done: Path) -> None:
         "precision": [],
         "repeated": "",
         "decided": "",
+        "follows": "",
     }
 
 

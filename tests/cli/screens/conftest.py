@@ -73,8 +73,9 @@ class Notices:
         seconds: float = 10.0,
         origin: Origin = Origin.MEASURED,
         left: TimeLeft | None = None,
+        doubts: tuple[str, ...] = (),
     ) -> AttemptFinished:
-        measure = PublishedMeasure("Energy", value, "Ina219", "J", origin)
+        measure = PublishedMeasure("Energy", value, "Ina219", "J", origin, doubts)
         outcome = RunOutcome(AttemptStatus.DONE, measures={"Energy": measure}, seconds=seconds)
         return AttemptFinished(self.task(number), outcome, is_last=True, left=left)
 
@@ -97,7 +98,6 @@ class Notices:
             "todo_count": 0,
             "failed": (),
             "interrupted": False,
-            "stopped_by_policy": False,
             "seconds": 61.0,
         }
         return ExperimentFinished(**facts | changes)

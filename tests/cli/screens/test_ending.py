@@ -41,7 +41,7 @@ def told(clock: Any, screenful: Any, notices: Any) -> Any:
             "Interrupted: 1 of 4 runs done, 0 failed, 3 to do (1 min 01 s).",
         ),
         (
-            {"done_count": 1, "todo_count": 2, "failed_count": 1, "failed": ["r_2"], "stopped_by_policy": True},
+            {"done_count": 1, "todo_count": 2, "failed_count": 1, "failed": ["r_2"], "stopped_by": "on_failure"},
             "Stopped by on_failure: 1 of 4 runs done, 1 failed, 2 to do (1 min 01 s).",
         ),
     ],

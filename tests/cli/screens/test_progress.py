@@ -8,7 +8,7 @@ import pytest
 from robot_runner.cli.screens.progress import Progress
 from robot_runner.core.events.measure import Origin
 from robot_runner.core.execution.durations import TimeLeft
-from robot_runner.core.execution.notices import AttemptFinished, RunRecord, WaitingForUser
+from robot_runner.core.execution.notices import AttemptFinished, OutcomeAmended, RunRecord, WaitingForUser
 from robot_runner.core.execution.task import AttemptStatus, RunOutcome
 
 if TYPE_CHECKING:
@@ -120,6 +120,19 @@ def test_a_value_that_a_person_is_asked_for_is_missing_only_where_it_was_answere
     progress.take(notices.done(1, value=None))
     progress.take(AttemptFinished(notices.task(2), RunOutcome(AttemptStatus.DONE, measures={}), is_last=True))
     assert progress.bad_values == {"Energy": {"missing": ["r_1"]}, "Mood": {"missing": ["r_1", "r_2"]}}
+
+
+def test_a_value_that_comes_after_the_run_counts_with_its_quality_and_its_origin(
+    progress: Progress, notices: Any
+) -> None:
+    progress.take(notices.started(columns={"Energy": "J"}))
+    for number in (1, 2, 3):
+        progress.take(notices.done(number, value=None))
+    good, doubtful = notices.done(1, value=4.5), notices.done(2, value=4.5, doubts=("read from a sticker",))
+    for after in (good, doubtful):
+        progress.take(OutcomeAmended(after.task.run_id, after.outcome))
+    assert progress.bad_values == {"Energy": {"doubtful": ["r_2"], "missing": ["r_3"]}}
+    assert list(progress.origins) == ["measured"]
 
 
 def test_waiting_ends_with_the_next_run(progress: Progress, notices: Any) -> None:

@@ -41,6 +41,21 @@ def test_the_status_tells_of_them(robot_runner: Program, write_config: Write) ->
 
 
 @pytest.mark.long
+def test_the_end_and_the_status_tell_of_values_that_nobody_published(
+    robot_runner: Program, write_config: Write
+) -> None:
+    write_config("""
+def populate_run_data(self, context):
+    return {} if context.run_id == "r_2" else {"Energy": 7.5}
+""")
+    said = "Energy is missing in r_2"
+    assert said in " ".join(robot_runner("run", "config.py").out.split())
+    assert said in " ".join(robot_runner("status", "config.py").out.split())
+    told = robot_runner("status", "config.py", "--json").json
+    assert told["bad_values"] == {"Energy": {"missing": ["r_2"]}}
+
+
+@pytest.mark.long
 def test_the_live_screen_marks_them(terminal: Terminals, write_config: Write) -> None:
     write_config(BODY)
     shown = terminal("run", "config.py")

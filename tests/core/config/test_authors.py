@@ -41,6 +41,12 @@ def test_authors_are_read_from_the_command_line():
     assert (josiah.name, josiah.orcid) == ("Josiah", "0000-0002-1825-0097")
 
 
+@pytest.mark.parametrize("orcid", ["0000-0002-1825-009", "0000-0002-9079-593x", "http://orcid.org/0000-0002-1825-009"])
+def test_an_orcid_that_is_none_is_not_taken_for_an_affiliation(orcid):
+    with pytest.raises(ConfigError, match="is not an ORCID"):
+        authors_from_text(f"Josiah Carberry; {orcid}; Brown University")
+
+
 def test_a_licence_is_an_identifier_or_a_page():
     assert is_licence("CC-BY-4.0")
     assert is_licence("https://example.org/terms")

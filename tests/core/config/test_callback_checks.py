@@ -112,6 +112,25 @@ def test_nothing_is_said_of_what_arrives(tmp_path: Path, body: str) -> None:
     assert lost_told(tmp_path, body) == []
 
 
+def unseen_told(folder: Path, body: str, **settings: str) -> list[tuple[str, str]]:
+    config = folder / "lost.py"
+    config.write_text(LOST_BEGIN.format(head="", body=body), encoding="utf-8")
+    found = [each for each in prepare(config, settings, is_for_here=False).findings if "sees nothing" in each.problem]
+    return [(each.where, each.problem.partition(", which runs read")[0]) for each in found]
+
+
+@pytest.mark.parametrize("event", ["before_experiment", "before_run"])
+def test_what_runs_in_a_fresh_interpreter_or_on_a_worker_do_not_see_is_named(tmp_path: Path, event: str) -> None:
+    body = f"    offset = 0\n    def {event}(self): self.offset = 5\n"
+    body += "    def populate_run_data(self): return {'E': self.offset}\n"
+    told = [(LOST_CONFIG, f"{event} changes self.offset")]
+    assert unseen_told(tmp_path, body, run_process="spawn") == told
+    assert unseen_told(tmp_path, body, cluster="tcp://127.0.0.1:8786") == told
+    assert unseen_told(tmp_path, body) == []
+    set_up = f"    def start_run(self): self.offset = 5\n{body}"
+    assert unseen_told(tmp_path, set_up, run_process="spawn") == [], "each run sets it up itself"
+
+
 # A generator of random numbers that is made once, and from which runs draw: each of them the same numbers.
 
 DRAWN_BEGIN = """
@@ -348,3 +367,39 @@ def test_a_file_that_each_run_replaces_is_told(tmp_path: Path, call: str) -> Non
 def test_a_file_that_each_run_has_for_itself_is_right(tmp_path: Path, call: str) -> None:
     assert written_anew(tmp_path, f"    def stop_run(self, context): {call}\n", "import numpy\n") == []
     assert written_anew(tmp_path, "    def before_experiment(self): open('out.csv', 'w')\n") == []
+
+
+# Measures that `continue` publishes, where a run without a value is tried again.
+
+LATE_BEGIN = """
+from robot_runner import BadValuePolicy, ExperimentConfig, Factor, RunTableModel
+class RobotRunnerConfig(ExperimentConfig):
+    experiment_name = "late"
+    on_bad_value = BadValuePolicy.{policy}
+{body}
+    def create_run_table(self):
+        return RunTableModel([Factor("A", [1, 2])], data_columns=["Voltage", "Mood"])
+"""
+
+
+def told_late(folder: Path, policy: str, body: str) -> list[str]:
+    config = folder / "late.py"
+    config.write_text(LATE_BEGIN.format(policy=policy, body=body), encoding="utf-8")
+    preparation = prepare(config, is_for_here=False)
+    assert preparation.experiment is not None, preparation.findings
+    return [each.problem for each in preparation.findings if "is over" in each.problem]
+
+
+@pytest.mark.parametrize("policy", ["TRY_AGAIN", "FAIL"])
+def test_a_measure_that_comes_when_its_absence_has_failed_the_run_is_told(tmp_path: Path, policy: str) -> None:
+    told = "continue_experiment publishes Mood, Voltage once a run is over, which on_bad_value has taken for missing"
+    body = "    def continue_experiment(self, context):\n        context.publish('Voltage', 12)\n"
+    assert told_late(tmp_path, policy, f"{body}        context.publish(name='Mood', value=1)\n") == [told]
+
+
+def test_a_measure_that_comes_after_the_run_is_right_where_a_missing_one_is_kept(tmp_path: Path) -> None:
+    body = "    def continue_experiment(self, context): context.publish('Voltage', 12)\n"
+    assert told_late(tmp_path, "KEEP", body) == []
+    assert told_late(tmp_path, "FAIL", body.replace("continue_experiment", "populate_run_data")) == []
+    message = "    def continue_experiment(self, context): self.link.publish('led', 'std_msgs/Bool', {'data': True})\n"
+    assert told_late(tmp_path, "FAIL", message) == []

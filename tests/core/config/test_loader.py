@@ -167,7 +167,7 @@ def test_explicit_subscriptions_are_recorded(write_config: Write) -> None:
         def go(self, context): pass
         """
     loaded = load_config(write_config(body))
-    assert [request.callback for request in loaded.subscriptions] == [loaded.config.go]
+    assert [callback for _, callback in loaded.subscriptions] == [loaded.config.go]
 
 
 def test_a_parameter_can_be_set_from_outside_and_is_seen_by_the_constructor(write_config: Write) -> None:

@@ -32,6 +32,7 @@ operator_steps = [
     OperatorStep("j", when_changes=3),
     OperatorStep("k", ask=[Question("a=b"), Question("k1", choices="ab"), Question("k2", unit=3)]),
     OperatorStep("l", ask=[Question("l1", choices=["left", "Left"]), Question("l2", float, low="1", high=2)]),
+    OperatorStep("m", ask=[Question("m1", note="no"), Question("m2", optional="no")]),
 ]
 """
 
@@ -68,6 +69,8 @@ def test_everything_that_is_wrong_with_steps_and_questions_is_said_at_once(write
         "steps[14], question 'k2': unit and text are not both texts",
         "steps[15], question 'l1': choices look alike: left",
         "steps[15], question 'l2': low is '1', and high is 2",
+        "steps[16], question 'm1': note and optional are not both True or False",
+        "steps[16], question 'm2': note and optional are not both True or False",
         ": the run table has a column of that name already",
     }
 

@@ -424,3 +424,25 @@ def test_a_check_of_a_plugin_that_ends_the_program_is_told_like_one_that_raises(
     of_meter = "def check(self, circumstances): raise SystemExit(3)"
     config = write_config(head=MISSPELT.format("gain = 1.0", of_meter), table=RATES)
     assert any(each.problem == "the check raised SystemExit: 3" for each in prepare(config).findings)
+
+
+def test_a_text_where_a_plugin_takes_true_or_false_is_refused_as_any_text_would_be_true(write_config: Write) -> None:
+    (finding,) = found(write_config, "BasicTurtlebot3(task='Video', sole_control='no')", SPEEDS)
+    assert (finding.where, finding.problem) == ("BasicTurtlebot3", "sole_control is 'no', of type str")
+    assert finding.fix == "Give True or False."
+    bound = "BasicTurtlebot3(task='Video', sole_control=treatment('Control'))"
+    findings = found(write_config, bound, table("Factor('Control', ['sole', 'shared'])"))
+    assert [each.problem for each in findings] == [
+        "with Control = sole: sole_control is 'sole', of type str",
+        "with Control = shared: sole_control is 'shared', of type str",
+    ]
+    assert found(write_config, bound, table("Factor('Control', [True, False])")) == ()
+
+
+@pytest.mark.parametrize("given", ["namespace=5", "namespace=treatment('Number')"])
+def test_a_check_that_raises_for_an_argument_of_another_type_tells_of_that_and_blames_nobody(
+    write_config: Write, given: str
+) -> None:
+    findings = found(write_config, f"BasicTurtlebot3(task='Video', {given})", table("Factor('Number', [5])"))
+    told = {(each.where, each.problem.removeprefix("with Number = 5: "), each.fix) for each in findings}
+    assert told == {("BasicTurtlebot3", "namespace is 5, of type int", "Give a text.")}

@@ -365,6 +365,17 @@ class RobotRunnerConfig(ExperimentConfig):
     assert " MB are free in " in finding.problem
 
 
+@pytest.mark.parametrize("deadline", ["run_deadline_in_s", "event_deadline_in_s"])
+def test_a_deadline_that_nobody_looks_after_is_warned_of(write_config: Write, deadline: str) -> None:
+    def told(process: str) -> list[str]:
+        path = write_config(f"    {deadline} = 5.0\n    run_process = RunProcess.{process}\n")
+        return [each.problem for each in prepare(path).findings]
+
+    problem = f"run_process is IN_PROCESS: nobody ends a run that takes longer than {deadline}"
+    assert problem in told("IN_PROCESS")
+    assert problem not in told("FORK")
+
+
 def test_threads_that_loading_starts_are_warned_of_where_runs_are_forked(write_config: Write) -> None:
     head = """\
 import threading

@@ -9,7 +9,8 @@ import pytest
 
 from robot_runner.core.design.batches import described_design
 from robot_runner.core.design.design import ChosenCombinations, DesignedRuns, FullFactorial
-from robot_runner.core.design.factor import Factor, full_factorial
+from robot_runner.core.design.factor import Factor
+from robot_runner.core.design.full_factorial import full_factorial
 from robot_runner.core.design.run_table_model import RunTableModel
 from robot_runner.core.errors import DesignError, Finding
 

@@ -7,14 +7,10 @@ from robot_runner.core.events.manager import EventSubscriptionController, RobotR
 
 
 def test_subscriptions_are_recorded_while_a_config_is_loaded() -> None:
+    subscriptions = [(RobotRunnerEvents.LAUNCH_MISSION, print), (RobotRunnerEvents.STOP_RUN, repr)]
     with recorded_subscriptions() as requests:
-        EventSubscriptionController.subscribe_to_multiple_events(
-            [(RobotRunnerEvents.LAUNCH_MISSION, print), (RobotRunnerEvents.STOP_RUN, repr)]
-        )
-    assert [(request.event, request.callback) for request in requests] == [
-        (RobotRunnerEvents.LAUNCH_MISSION, print),
-        (RobotRunnerEvents.STOP_RUN, repr),
-    ]
+        EventSubscriptionController.subscribe_to_multiple_events(subscriptions)
+    assert requests == subscriptions
 
 
 def test_subscribing_at_another_time_is_refused_and_says_when_to() -> None:

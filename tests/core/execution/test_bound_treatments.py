@@ -14,7 +14,7 @@ from robot_runner.core.config.preparation import prepare_or_refuse
 from robot_runner.core.errors import ExecutionError
 from robot_runner.core.execution.notices import AttemptFinished, FindingsNoticed, SilentObserver
 from robot_runner.core.execution.orchestrator import execute_experiment
-from robot_runner.core.execution.recovery import Resumption
+from robot_runner.core.execution.resumption import Resumption
 
 Execute = Callable[..., Any]
 Write = Callable[..., Path]

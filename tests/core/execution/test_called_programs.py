@@ -90,7 +90,7 @@ def test_each_program_is_recorded_once_with_its_version_and_who_called_it(tmp_pa
 def test_the_systems_packages_are_those_that_dpkg_lists(tmp_path):
     asked = ["dpkg-query", "-W", "-f", "${db:Status-Abbrev} ${Package} ${Version}\n"]
     told = subprocess.run(asked, capture_output=True, text=True, check=True).stdout
-    listed = {tuple(line.split()[1:]) for line in told.splitlines() if line.startswith("ii ")}
+    listed = {tuple(line.split()[1:]) for line in told.splitlines() if line[1] in "iWtFU"}  # see ${db:Status-Abbrev}
     assert set(installed_system_packages().items()) <= listed
     assert {name for name, _ in listed} == set(installed_system_packages())
     assert installed_system_packages(tmp_path / "none") == {}
@@ -104,6 +104,16 @@ def test_packages_of_the_system_are_read_again_once_some_were_installed_meanwhil
         found = installed_system_packages(status)
         assert found == {f"p{each}": f"1.{each}" for each in range(1, count + 1)}
         found.clear()
+
+
+def test_a_package_of_the_system_is_there_while_another_one_is_being_installed(tmp_path):
+    there = ("installed", "triggers-pending", "triggers-awaited", "half-configured", "unpacked")
+    gone = ("half-installed", "config-files", "not-installed")
+    status = tmp_path / "status"
+    status.write_text(
+        "".join(f"Package: {each}\nStatus: install ok {each}\nVersion: 1.2\n\n" for each in (*there, *gone)), "utf-8"
+    )
+    assert set(installed_system_packages(status)) == set(there)
 
 
 def _version(package):

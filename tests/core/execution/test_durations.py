@@ -13,10 +13,10 @@ from robot_runner.core.config.preparation import prepare_or_refuse
 from robot_runner.core.events.manager import EventManager
 from robot_runner.core.execution.durations import Durations, TimeLeft
 from robot_runner.core.execution.experiment_status import read_status
-from robot_runner.core.execution.mission_knowledge import MissionKnowledge
+from robot_runner.core.execution.known_durations import DeclaredDurations
 from robot_runner.core.execution.notices import AttemptFinished, AttemptStarted, ExperimentStarted
 from robot_runner.core.execution.orchestrator import execute_experiment
-from robot_runner.core.execution.recovery import Resumption
+from robot_runner.core.execution.resumption import Resumption
 from robot_runner.core.plugin import System
 from robot_runner.core.storage.journal import last_records
 from robot_runner.core.treatments import bind, treatment
@@ -75,11 +75,11 @@ class Said(System):
         return self.seconds
 
 
-def knowledge_of(*plugins: System, config: Any = None, robot: str | None = None) -> MissionKnowledge:
+def declared_by(*plugins: System, config: Any = None, robot: str | None = None) -> DeclaredDurations:
     events = EventManager()
     for plugin in plugins:
         events.subscribe_methods(plugin, owner=plugin.name, kind=0)  # type: ignore[arg-type] # systems first
-    return MissionKnowledge.of(config, plugins, events, robot)
+    return DeclaredDurations.of(config, plugins, events, robot)
 
 
 def test_nothing_is_invented_where_nobody_knows_anything() -> None:
@@ -101,8 +101,8 @@ def test_what_the_first_run_tells_is_known_at_once_however_long_it_took_to_find_
 
 
 def test_what_plugins_know_and_the_rests_add_up() -> None:
-    knowledge = knowledge_of(BasicTurtlebot3(), Said(5.0))
-    durations = Durations(knowledge, FOUR, rest_s=2.0, waits=["the operator between two runs"])
+    declared = declared_by(BasicTurtlebot3(), Said(5.0))
+    durations = Durations(declared, FOUR, rest_s=2.0, waits=["the operator between two runs"])
     durations.plan(FOUR)
     estimate = durations.estimate(probe_s=0.5)
     assert estimate.seconds == pytest.approx(4 * 100.0 + 3 * 2.0 + 0.5)
@@ -115,8 +115,8 @@ def test_a_bound_parameter_is_asked_with_its_treatment() -> None:
     tasks = [{"Seconds": 20.0}, {"Seconds": 10.0}]
     turtlebot3 = BasicTurtlebot3(task_s=treatment("Seconds"))
     bind(turtlebot3, tasks[0])
-    knowledge = knowledge_of(turtlebot3)
-    assert [knowledge.seconds(each) for each in tasks] == [125.0, 95.0]
+    declared = declared_by(turtlebot3)
+    assert [declared.seconds(each) for each in tasks] == [125.0, 95.0]
 
 
 @pytest.mark.parametrize(
@@ -129,18 +129,18 @@ def test_a_bound_parameter_is_asked_with_its_treatment() -> None:
     ],
 )
 def test_an_answer_that_is_no_duration_is_a_finding(answer: Any, problem: str) -> None:
-    knowledge = knowledge_of(Said(answer))
-    assert knowledge.seconds(VIDEO) is None
-    assert knowledge.seconds(NETWORK) is None
-    (finding,) = knowledge.findings
+    declared = declared_by(Said(answer))
+    assert declared.seconds(VIDEO) is None
+    assert declared.seconds(NETWORK) is None
+    (finding,) = declared.findings
     assert finding.where == "Said.duration_s"
     assert problem in finding.problem
 
 
 def test_the_simulated_robot_takes_as_long_as_the_physics_needs() -> None:
-    knowledge = knowledge_of(BasicTurtlebot3(), robot="simulated")
-    assert knowledge.seconds(VIDEO) is None
-    durations = Durations(knowledge, FOUR)
+    declared = declared_by(BasicTurtlebot3(), robot="simulated")
+    assert declared.seconds(VIDEO) is None
+    durations = Durations(declared, FOUR)
     durations.plan(FOUR)
     assert "how long the simulated robot takes" in str(durations.estimate())
 
@@ -150,7 +150,7 @@ def test_who_takes_part_in_the_mission_and_says_nothing_is_named() -> None:
         def launch_mission(self) -> None:
             pass
 
-    durations = Durations(knowledge_of(Said(95.0), Mute()), FOUR)
+    durations = Durations(declared_by(Said(95.0), Mute()), FOUR)
     durations.plan(FOUR)
     assert "launch_mission of Mute" in durations.estimate().unknown
 
@@ -182,7 +182,7 @@ def test_what_runs_take_beyond_what_was_said_holds_for_the_others() -> None:
         def duration_s(self, combination: Mapping[str, Any]) -> float:
             return {"Video": 95.0, "Network": 300.0}[combination["Task"]]
 
-    durations = Durations(knowledge_of(Two()), FOUR)
+    durations = Durations(declared_by(Two()), FOUR)
     durations.plan(FOUR)
     learn(durations, [(VIDEO, 99.0)])
     assert durations.of_run(NETWORK) == pytest.approx(304.0)

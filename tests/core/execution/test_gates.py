@@ -16,7 +16,7 @@ from robot_runner import ConditionError, Gate, GatePolicy, Guard, GuardAction, p
 from robot_runner.core.config.preparation import prepare, prepare_or_refuse
 from robot_runner.core.errors import LinkError
 from robot_runner.core.events.context import SystemClock
-from robot_runner.core.execution import executor, run_events
+from robot_runner.core.execution import local_places, run_events
 from robot_runner.core.execution.experiment_status import read_status
 from robot_runner.core.execution.notices import (
     AttemptFinished,
@@ -116,7 +116,7 @@ def test_a_gate_is_awaited_before_each_run_in_a_process_of_its_own(execute: Call
 
 def test_a_process_stands_by_for_each_run_and_for_no_gate(execute: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
     asked = []
-    monkeypatch.setattr(executor, "Standby", lambda _systems, _experiment, task: asked.append(task.run_id))
+    monkeypatch.setattr(local_places, "Standby", lambda _systems, _experiment, task: asked.append(task.run_id))
     assert gated(execute, "Gate(SecondLook(), timeout_s=60)").finished.done_count == 4
     assert asked == ["r_1", "r_2", "r_3", "r_4"]
 
@@ -184,7 +184,7 @@ def test_a_gate_that_is_not_passed_stops_the_experiment_and_leaves_the_run_to_do
 ) -> None:
     executed = gated(execute, "Gate(Never(), timeout_s=0.2)")
     finished = executed.finished
-    assert finished.stopped_by_policy
+    assert finished.stopped_by
     assert finished.stopped_by == "a gate"
     assert (finished.done_count, finished.failed_count, finished.todo_count) == (0, 0, 4)
     assert not (tmp_path / "launched").exists()
@@ -236,7 +236,7 @@ def test_a_gate_that_cannot_be_awaited_is_not_awaited_for_ever(
 ) -> None:
     executed = gated(execute, f"Gate({condition}, timeout_s=60, on_timeout=GatePolicy.{policy})")
     assert executed.finished.done_count == (4 if policy == "DOUBT" else 0)
-    assert executed.finished.stopped_by_policy == (policy != "DOUBT")
+    assert bool(executed.finished.stopped_by) == (policy != "DOUBT")
     assert executed.journal("gate")[0]["problem"] == reason
     assert any(reason in finding.problem for finding in executed.finished.findings)
 

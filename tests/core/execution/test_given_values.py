@@ -18,7 +18,7 @@ from robot_runner.core.errors import ExecutionError
 from robot_runner.core.execution.given_values import LEFT_OUT, given_elsewhere, given_values
 from robot_runner.core.execution.notices import SilentObserver
 from robot_runner.core.execution.orchestrator import execute_experiment
-from robot_runner.core.execution.recovery import Resumption, config_changes
+from robot_runner.core.execution.resumption import Resumption, config_changes
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -21,7 +21,7 @@ from robot_runner.core.errors import ExecutionError, StorageError
 from robot_runner.core.execution.experiment_status import read_status
 from robot_runner.core.execution.notices import AttemptFinished, ExperimentStarted, Notice, SilentObserver
 from robot_runner.core.execution.orchestrator import execute_experiment
-from robot_runner.core.execution.recovery import Resumption
+from robot_runner.core.execution.resumption import Resumption
 from robot_runner.core.storage.lock import leave_request
 
 Execute = Callable[..., Any]

@@ -108,7 +108,7 @@ def test_results_that_an_earlier_run_has_left_are_told(server: SshServer, tmp_pa
     body = RESULTS.replace("echo driving > '{HERE}/on board/nav.log'", "true")
     said = [str(finding) for finding in execute_in(tmp_path, body, head=HEAD, table=ONE).finished.findings]
     (told,) = [each for each in said if "fetched from robot" in each]
-    assert "on board/*.log was written 25 h" in told
+    assert "on board/*.log were written 25 h" in told
 
 
 @pytest.mark.long

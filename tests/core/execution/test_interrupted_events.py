@@ -17,7 +17,7 @@ from robot_runner.core.events.manager import EventManager, OwnerKind, RobotRunne
 from robot_runner.core.execution import interruption, orchestrator_events
 from robot_runner.core.execution.interruption import Interruption
 from robot_runner.core.execution.orchestrator_events import OrchestratorEvents
-from robot_runner.core.execution.patience import Patience
+from robot_runner.core.execution.poll_loop import PollLoop
 
 if TYPE_CHECKING:
     from types import FrameType
@@ -40,7 +40,7 @@ def _emitted(at: int | None, act: Callable[[Interruption], Callable[[FrameType],
     parameters = SimpleNamespace(event_deadline_in_s=1000.0, grace_in_s=1000.0)
     experiment = cast("Any", SimpleNamespace(events=events, parameters=parameters))
     with Interruption() as stops:
-        emitter = OrchestratorEvents(experiment, cast("Any", None), Patience(stops))
+        emitter = OrchestratorEvents(experiment, cast("Any", None), PollLoop(stops))
         with Instructions(*_FILES, at=at, act=act(stops)) as counted:
             emission = emitter._emit(_EVENT, lambda _owner: None)
         assert signal.getitimer(signal.ITIMER_REAL)[0] == 0.0, at

@@ -16,10 +16,11 @@ import pytest
 from tests.core.execution.conftest import RecordingObserver
 from tests.core.execution.lamp import HEAD, TABLE, made_safe
 
+from robot_runner.core.config import plugin_checks
 from robot_runner.core.config.preparation import prepare_or_refuse
 from robot_runner.core.entry_points import EntryPoint
 from robot_runner.core.errors import ExecutionError, RobotRunnerError
-from robot_runner.core.execution import left_systems, standby
+from robot_runner.core.execution import standby
 from robot_runner.core.execution.left_systems import (
     goes_on,
     may_be_moving,
@@ -419,7 +420,7 @@ def test_what_a_killed_experiment_left_is_ended_only_where_the_robot_that_it_may
                 assert len(see_to_what_others_left(other, [experiment.folder.root], claims)) == 2
                 assert planner.wait() == -signal.SIGKILL
             else:
-                told = rf"may drive a robot \(rosbridge://127.0.0.1:1\) .* process {planner.pid}"
+                told = rf"process {planner.pid} .* may drive a robot \(rosbridge://127.0.0.1:1\)"
                 with pytest.raises(ExecutionError, match=told):
                     see_to_what_others_left(other, [experiment.folder.root], claims)
                 assert planner.poll() is None
@@ -493,9 +494,9 @@ def test_a_package_that_fails_to_end_what_it_has_left_is_named_and_systems_are_m
 
     belt = EntryPoint("belt", "robot_runner.left_behind", "lab:belt", lambda: ("lab", "1"))
     monkeypatch.setattr(EntryPoint, "load", lambda _self: fail)
-    monkeypatch.setattr(left_systems, "entry_points", lambda _group: [belt])
+    monkeypatch.setattr(plugin_checks, "entry_points", lambda _group: [belt])
     SystemsFile(experiment.folder).begin(None, left(experiment))
-    with pytest.raises(ExecutionError, match=r"it raised RuntimeError: the belt is stuck") as caught:
+    with pytest.raises(ExecutionError, match=r"ending what was left raised RuntimeError: the belt is stuck") as caught:
         see_to_what_is_left(experiment)
     assert "lab:belt" in caught.value.findings[0].where
     assert made_safe(experiment) == "hall hall r_2 None"

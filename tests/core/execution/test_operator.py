@@ -33,7 +33,7 @@ from robot_runner.core.execution.notices import (
 )
 from robot_runner.core.execution.operator import Operator
 from robot_runner.core.execution.orchestrator import execute_experiment
-from robot_runner.core.execution.recovery import Resumption
+from robot_runner.core.execution.resumption import Resumption
 from robot_runner.core.storage.journal import Journal
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.lock import leave_request, send_continue
@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from robot_runner.core.execution.notices import Notice
-    from robot_runner.core.execution.patience import Steps
+    from robot_runner.core.execution.poll_loop import Steps
 
 VOLTAGE = 'Question("voltage", float, unit="V", low=9, high=13)'
 TABLE = """\
@@ -605,6 +605,39 @@ def test_an_answer_after_a_run_is_a_measure_of_it_entered_by_hand_and_a_note_sta
     for notice in executed.notices:
         screen.take(notice)
     assert list(screen.origins["entered by hand"]) == ["trust"], "the end of the session tells of it"
+
+
+def test_of_a_run_that_a_person_was_not_asked_about_nothing_else_is_explained(execute: Callable) -> None:
+    body = "quality_columns = True\n" + ENERGY + steps(TRUST.replace("after=True", "after={'Task': 'Video'}"))
+    executed, _ = execute(body, lambda waiting: "3\n")
+    who = {
+        (run, name): dict(explain_run(executed.folder, run, [name]).values[0].facts)["From"]
+        for run in ("r_1", "r_2")
+        for name in ("trust", "trust.quality")
+    }
+    assert set(who.values()) == {"a person, who was asked after the run", "a person, who was not asked about the run"}
+    assert all(who[run, "trust"] == who[run, "trust.quality"] for run in ("r_1", "r_2"))
+
+
+@pytest.mark.parametrize("is_interrupted", [False, True])
+def test_what_makes_a_whole_run_doubtful_makes_answers_after_it_doubtful_and_is_no_reason_where_nobody_was_asked(
+    execute: Callable, is_interrupted: bool
+) -> None:
+    body = """
+quality_columns = True
+def populate_run_data(self, context):
+    context.broker.doubt_run(context.owner, "it was dark", "")
+    return {"Energy": 1.5}
+"""
+    body += steps(TRUST.replace("after=True", "after={'Task': 'Video'}"))
+    if is_interrupted:
+        execute(body, lambda _: os.kill(os.getpid(), signal.SIGINT))
+    executed, _ = execute(body, "3\n")
+    told = {row["Task"]: (row["trust"], row["trust.quality"], row["Energy.quality"]) for row in executed.table}
+    assert told == {
+        "Video": ("3", "doubtful: it was dark", "doubtful: it was dark"),
+        "Network": ("", "missing", "doubtful: it was dark"),
+    }
 
 
 def test_what_a_session_did_not_come_to_ask_after_a_run_is_asked_by_the_next(execute: Callable) -> None:

@@ -16,6 +16,7 @@ from tests.long_cases import soak_but
 
 from robot_runner.core.errors import ExecutionError
 from robot_runner.core.events.manager import EventManager, OwnerKind, RobotRunnerEvents
+from robot_runner.core.execution.notices import OutcomeAmended
 from robot_runner.core.execution.orchestrator_events import DeadlinePassed, EventDeadline
 from robot_runner.core.storage import journal
 
@@ -43,6 +44,8 @@ def test_what_continue_publishes_is_a_measure_of_the_run_that_is_over(execute: E
     executed = execute(PUBLISHING, table=TWO_RUNS)
     assert [row["Energy"] for row in executed.table] == ["4.5", ""]
     assert executed.table[0]["Energy.quality"] == "doubtful: read from a sticker"
+    (amended,) = [each for each in executed.notices if isinstance(each, OutcomeAmended)]
+    assert (amended.run_id, amended.outcome.measures["Energy"].value) == ("r_1", 4.5)
     findings = [str(finding) for finding in executed.finished.findings]
     assert not any("r_1, config: Energy has no value" in finding for finding in findings)
     assert any("r_2, config: Energy has no value" in finding for finding in findings)
@@ -52,6 +55,13 @@ def test_what_continue_publishes_is_a_measure_of_the_run_that_is_over(execute: E
     table.unlink()
     assert execute(PUBLISHING, table=TWO_RUNS).finished.done_count == 2
     assert table.read_text(encoding="utf-8") == written, "the journal has it, and the time of the event"
+
+
+def test_a_doubt_from_the_run_is_about_what_continue_publishes_later(execute: Execute) -> None:
+    body = PUBLISHING.replace('    context.doubt("read from a sticker", measures=["Energy"])\n', "")
+    body += "def stop_run(self, context): context.doubt('it was dark', measures=['Energy'])\n"
+    executed = execute(body, table=TWO_RUNS)
+    assert [row["Energy.quality"] for row in executed.table] == ["doubtful: it was dark", "missing: it was dark"]
 
 
 def test_the_time_of_a_continue_that_publishes_nothing_is_in_the_journal_as_well(execute: Execute) -> None:

@@ -227,7 +227,7 @@ def test_a_failed_start_is_closed_and_nothing_after_it_is_started(execute: Execu
 
 def test_the_policy_can_stop_the_experiment_at_the_first_failed_run(execute: Execute) -> None:
     executed = execute("def launch_mission(self, context): raise ValueError(context.run_id)", on_failure="stop")
-    assert executed.finished.stopped_by_policy
+    assert executed.finished.stopped_by
     assert [row["status"] for row in executed.table] == ["Failed", "-", "-", "-"]
 
 

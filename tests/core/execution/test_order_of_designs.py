@@ -12,7 +12,7 @@ from tests.conftest import HEAD
 
 from robot_runner.cli.extension import ExtensionRequest, extend_experiment
 from robot_runner.core.config.preparation import prepare, prepare_or_refuse
-from robot_runner.core.design.growing import Additions
+from robot_runner.core.design.extended_design import Additions
 from robot_runner.core.errors import DesignError
 from robot_runner.core.execution.notices import FindingsNoticed
 

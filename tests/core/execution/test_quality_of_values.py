@@ -11,7 +11,7 @@ from robot_runner.core.errors import MeasureError
 from robot_runner.core.events.measure import Measure
 from robot_runner.core.execution.notices import SilentObserver
 from robot_runner.core.execution.orchestrator import execute_experiment
-from robot_runner.core.execution.recovery import Resumption
+from robot_runner.core.execution.resumption import Resumption
 
 if TYPE_CHECKING:
     from pathlib import Path

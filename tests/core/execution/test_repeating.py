@@ -17,13 +17,13 @@ from robot_runner.cli.excluding import exclude_runs
 from robot_runner.cli.extension import ExtensionRequest, extend_experiment
 from robot_runner.core.config.preparation import prepare, prepare_or_refuse
 from robot_runner.core.design.asking import Decision, Told
-from robot_runner.core.design.growing import Additions
+from robot_runner.core.design.extended_design import Additions
 from robot_runner.core.execution import progress_manager, recovered_table
 from robot_runner.core.execution.experiment_status import read_status
 from robot_runner.core.execution.notices import NextDecided
 from robot_runner.core.execution.orchestrator import execute_experiment
 from robot_runner.core.execution.processes import forked
-from robot_runner.core.execution.recovery import Resumption
+from robot_runner.core.execution.resumption import Resumption
 from robot_runner.core.storage.journal import Journal, read_journal
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.manifest import read_manifest
@@ -282,6 +282,18 @@ def test_a_part_of_the_runs_is_not_repeated_and_a_redone_run_is_judged_anew(exec
     assert count > 6
     _, observer = resume(config, redo=("r_1",))
     assert any(isinstance(notice, NextDecided) for notice in observer.notices)
+
+
+def test_where_chosen_runs_are_the_last_that_were_planned_it_is_told_that_more_may_follow(tmp_path: Path) -> None:
+    config = written_config(tmp_path, noisy(), table=TABLE)
+    finished, _ = resume(config, only=("Task=Video",))
+    assert not [each for each in finished.findings if "--only" in each.where], "runs are left, and that is told"
+    finished, _ = resume(config, skip=("Task=Video",))
+    (found,) = [each for each in finished.findings if "--only" in each.where]
+    assert found.problem.endswith("it is not decided how often it is repeated until it is precise")
+    assert read_status(tmp_path / "results" / "trial").follows == "how often it is repeated until it is precise"
+    resume(config)
+    assert not read_status(tmp_path / "results" / "trial").follows
 
 
 @pytest.mark.long

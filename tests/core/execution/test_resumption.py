@@ -10,11 +10,12 @@ import pytest
 
 from robot_runner.core.config.preparation import prepare_or_refuse
 from robot_runner.core.errors import ExecutionError, StorageError
-from robot_runner.core.execution import circumstances
+from robot_runner.core.execution import manifest_content
 from robot_runner.core.execution.notices import SilentObserver
 from robot_runner.core.execution.orchestrator import execute_experiment
-from robot_runner.core.execution.recovery import Resumption, TableChoice, config_changes
+from robot_runner.core.execution.resumption import Resumption, TableChoice, config_changes
 from robot_runner.core.storage.guarded_files import replace
+from robot_runner.core.storage.journal import read_journal
 
 Execute = Callable[..., Any]
 Write = Callable[..., Path]
@@ -50,6 +51,31 @@ def test_done_runs_can_be_executed_again_and_keep_what_they_left(execute: Execut
     assert [row["Energy"] for row in table] == ["1", "2", "1", "2"]
     kept = executed.folder / "earlier_attempts" / "r_2" / "1" / "log.txt"
     assert kept.read_text(encoding="utf-8") == "attempt 1\n"
+
+
+@pytest.mark.parametrize(
+    ("warm_up", "asked", "executed"),
+    [
+        ("2", {"first": ("r_6",)}, "w_1 w_2 r_6 r_1 r_2 r_3 r_4 r_5"),
+        ("2", {"only": ("Task=Idle",)}, "w_1 w_2 r_5 r_6"),
+        ("2", {"only": ("r_4",), "skip": ("w_2",)}, "w_1 r_4"),
+        ("WarmUp(1, per='Task')", {"first": ("r_4",)}, "w_2 r_4 w_1 r_1 r_2 r_3 w_3 r_5 r_6"),
+        ("WarmUp(1, per='Task')", {"first": ("w_3",), "only": ("w_3", "r_4")}, "w_3 w_2 r_4"),
+        ("WarmUp(1, per='Task')", {"only": ("w_3",)}, "w_3"),
+    ],
+)
+def test_chosen_runs_warm_up_first_where_they_have_not_yet(
+    write_config: Write, warm_up: str, asked: dict[str, tuple[str, ...]], executed: str
+) -> None:
+    table = f"""\
+    def create_run_table(self):
+        tasks = Factor("Task", ["Video", "Network", "Idle"])
+        return RunTableModel([tasks], repetitions=2, blocks="Task", warm_up={warm_up})
+"""
+    path = write_config("run_process = RunProcess.IN_PROCESS\n", table=table)
+    execute_experiment(prepare_or_refuse(path), SilentObserver(), resumption=Resumption(**asked))
+    began = read_journal(path.parent / "results" / "trial" / "journal.jsonl", kinds={"attempt_started"})
+    assert " ".join(each["run"] for each in began) == executed
 
 
 def test_only_the_chosen_runs_are_executed(write_config: Write) -> None:
@@ -128,12 +154,12 @@ def test_a_change_of_what_is_installed_as_it_stands_is_told(
     write_config: Write, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     digests = iter(("a1", "b2"))
-    monkeypatch.setattr(circumstances, "editable_code", lambda: {"lab-tools": next(digests)})
+    monkeypatch.setattr(manifest_content, "editable_code", lambda: {"lab-tools": next(digests)})
     experiment = prepare_or_refuse(write_config(COUNTING))
-    manifest = circumstances.manifest_of(experiment)
-    assert circumstances.changed_circumstances(manifest) == {"code of package lab-tools": {"was": "a1", "is": "b2"}}
-    monkeypatch.setattr(circumstances, "editable_code", dict)  # it is not imported any more
-    assert circumstances.changed_circumstances(manifest) == {}
+    manifest = manifest_content.manifest_of(experiment)
+    assert manifest_content.changed_circumstances(manifest) == {"code of package lab-tools": {"was": "a1", "is": "b2"}}
+    monkeypatch.setattr(manifest_content, "editable_code", dict)  # it is not imported any more
+    assert manifest_content.changed_circumstances(manifest) == {}
 
 
 def test_a_changed_config_can_be_accepted_and_both_are_kept(execute: Execute, write_config: Write) -> None:
@@ -159,7 +185,7 @@ def test_a_disk_without_room_for_a_copy_of_the_config_makes_no_earlier_config_of
     config.with_name(f"helper_{room}.py").write_text("", encoding="utf-8")
     config.write_text(f"import helper_{room}\n{config.read_text(encoding='utf-8')}", encoding="utf-8")
     with monkeypatch.context() as patched:
-        patched.setattr(circumstances, "replace", copy)
+        patched.setattr(manifest_content, "replace", copy)
         with pytest.raises(StorageError):
             resume(config)
     resume(config)
@@ -186,7 +212,7 @@ def test_a_changed_config_whose_copy_a_kill_interrupted_is_asked_about_again(
         return do
 
     with monkeypatch.context() as patched:
-        patched.setattr(circumstances, "replace", killed_at(replace))
+        patched.setattr(manifest_content, "replace", killed_at(replace))
         patched.setattr(Path, "rename", killed_at(Path.rename))
         with pytest.raises(KeyboardInterrupt):
             resume(changed, accept_changes=True)
@@ -437,10 +463,10 @@ def test_what_changed_of_machine_and_software_since_the_first_execution_is_told(
     ros = {"distro": "jazzy", "middleware": None, "packages": {"nav2": "1.3"}}
     path.write_text(json.dumps(manifest | {"ros": ros}), encoding="utf-8")
     other = {"distro": "jazzy", "middleware": "rmw_zenoh_cpp", "packages": {"nav2": "1.4"}}
-    monkeypatch.setattr(circumstances, "described_circumstances", lambda: {"ros": other})
-    monkeypatch.setattr(circumstances, "describe_host", lambda: {**manifest["host"], "processor": "another", "x": 1})
+    monkeypatch.setattr(manifest_content, "described_circumstances", lambda: {"ros": other})
+    monkeypatch.setattr(manifest_content, "describe_host", lambda: {**manifest["host"], "processor": "another", "x": 1})
     monkeypatch.setattr(
-        circumstances,
+        manifest_content,
         "describe_software",
         lambda: manifest["software"] | {"packages": packages | {"numpy": "2.0", "gone": None, "come": "1"}},
     )

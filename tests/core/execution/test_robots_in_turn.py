@@ -11,7 +11,7 @@ from tests.long_cases import soak_but
 from robot_runner import ConfigError, Robots
 from robot_runner.core.config.preparation import prepare
 from robot_runner.core.execution.durations import Durations, TimeLeft
-from robot_runner.core.execution.recovery import Resumption
+from robot_runner.core.execution.resumption import Resumption
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.manifest import read_manifest
 from robot_runner.core.storage.table_schema import read_schema
@@ -62,6 +62,17 @@ def test_each_combination_is_executed_equally_often_on_each_robot_however_fast_i
     # Which robot it was comes from no sensor, though the robots are simulated.
     origins = {each.name: each.origin for each in read_schema(executed.folder / "run_table.schema.json")}
     assert origins["Robot"] == "measured"
+
+
+def test_which_robot_it_was_is_not_doubtful_where_all_that_was_measured_is(execute: Callable[..., Any]) -> None:
+    told = "        context.broker.doubt_run(context.owner, 'it was dark', '')\n"
+    head = HEAD.replace("        import time\n", f"{told}        import time\n").replace("0.3", "0")
+    executed = execute(
+        head=f"{head}\n    quality_columns = True\n", table=TABLE.replace("repetitions=4", "repetitions=1")
+    )
+    assert {(row["Energy.quality"], row["Robot.quality"]) for row in executed.table} == {
+        ("doubtful: it was dark", "good")
+    }
 
 
 @pytest.mark.long

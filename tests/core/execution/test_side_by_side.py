@@ -12,7 +12,7 @@ import pytest
 from robot_runner.core.config.preparation import prepare
 from robot_runner.core.errors import ExecutionError
 from robot_runner.core.execution.experiment_status import read_status
-from robot_runner.core.execution.left_over import RunsElsewhere
+from robot_runner.core.execution.left_processes import RunsElsewhere
 from robot_runner.core.execution.notices import AttemptStarted, FindingsNoticed
 from robot_runner.core.execution.side_by_side import SideBySide
 

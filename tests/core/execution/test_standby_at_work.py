@@ -23,7 +23,7 @@ from robot_runner.core.events.resources import Resources
 from robot_runner.core.execution import run_events, standby_lock, systems_state
 from robot_runner.core.execution.interruption import InterruptGate
 from robot_runner.core.execution.progress_manager import ProgressManager
-from robot_runner.core.execution.recovery import Resumption
+from robot_runner.core.execution.resumption import Resumption
 from robot_runner.core.execution.run_events import execute_run, made_safe_of_their_own
 from robot_runner.core.execution.standby import Standby
 from robot_runner.core.execution.systems_state import Care, SystemsState

@@ -16,7 +16,7 @@ from robot_runner.core.execution.experiment_status import read_status
 from robot_runner.core.execution.notices import ExperimentFinished, SilentObserver
 from robot_runner.core.execution.orchestrator import execute_experiment
 from robot_runner.core.execution.recovered_table import Deviation, TableOnDisk
-from robot_runner.core.execution.recovery import Resumption, TableChoice, TableDisagreementError
+from robot_runner.core.execution.resumption import Resumption, TableChoice, TableDisagreementError
 from robot_runner.core.execution.table_deviations import ROW, deviation_findings
 from robot_runner.core.storage.journal import Journal, read_journal
 
@@ -209,12 +209,13 @@ def test_the_file_may_count_and_each_change_is_recorded_once(execute: Execute) -
     assert executed.table[0]["Energy"] == "12"
 
 
-def test_the_treatment_of_a_finished_run_is_changed_on_record_alone(execute: Execute) -> None:
+@pytest.mark.parametrize("said", [{"accept_changes": True}, {"table": TableChoice.FILE}], ids=["changes", "the file"])
+def test_the_treatment_of_a_finished_run_is_changed_on_record_alone(execute: Execute, said: dict[str, Any]) -> None:
     executed = execute(COUNTING)
     edited(executed, "Video,1,11", "Network,1,11")
     with pytest.raises(ExecutionError, match="the table has 'Network', the plan 'Video'"):
         resume(executed)
-    finished = resume(executed, accept_changes=True)
+    finished = resume(executed, **said)
     changed = {"run": "r_1", "column": "Task", "was": "Video", "is": "Network"}
     (record,) = executed.journal("deviation")
     assert {name: record[name] for name in changed} == changed
@@ -224,6 +225,35 @@ def test_the_treatment_of_a_finished_run_is_changed_on_record_alone(execute: Exe
     resume(executed)
     assert len(executed.journal("deviation")) == 1
     assert executed.table[0]["Task"] == "Network"
+
+
+def test_the_quality_of_a_value_that_is_emptied_or_filled_in_by_hand_follows_it_on_record(execute: Execute) -> None:
+    body = """
+run_process = RunProcess.IN_PROCESS
+quality_columns = True
+
+def populate_run_data(self, context):
+    if context.run_number > 2: context.doubt("it was dark", measures=["Energy"])
+    return {"Energy": 10 * context.run_number if context.run_number % 2 else None}
+"""
+    executed = execute(body)
+    edited(executed, "1,10,good", "1,,good")
+    edited(executed, "1,,missing", "1,21,missing")
+    edited(executed, "2,30,doubtful: it was dark", "2,,doubtful: it was dark")
+    edited(executed, "2,,missing: it was dark", "2,41,missing: it was dark")
+    resume(executed, table=TableChoice.FILE)
+    qualities = [(row["Energy"], row["Energy.quality"]) for row in executed.table]
+    assert qualities == [
+        ("", "missing"),
+        ("21", "good"),
+        ("", "missing: it was dark"),
+        ("41", "doubtful: it was dark"),
+    ]
+    changes = [(each["column"], each["is"]) for each in executed.journal("deviation")]
+    assert [is_now for column, is_now in changes if column == "Energy.quality"] == [how for _, how in qualities]
+    edited(executed, "1,21,good", "1,22,good")
+    resume(executed, table=TableChoice.FILE)
+    assert len(executed.journal("deviation")) == len(changes) + 1
 
 
 def test_the_treatment_of_a_run_still_to_do_is_changed_on_record_and_accepted_once(
@@ -258,6 +288,8 @@ def test_a_plan_that_was_changed_is_accepted_once_and_is_no_change_of_the_table(
 ) -> None:
     executed = execute(COUNTING)
     write_config(COUNTING, table=TABLE.replace('["Video", "Network"]', '["Network", "Video"]'))
+    with pytest.raises(ExecutionError):
+        resume(executed, table=TableChoice.FILE)
     resume(executed, accept_changes=True)
     resume(executed)
     assert executed.journal("deviation") == []

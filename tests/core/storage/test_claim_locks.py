@@ -68,7 +68,7 @@ def test_who_waits_for_what_is_left_of_an_experiment_does_not_keep_that_from_bei
         return True
 
     waiting = HeldClaims(["serial:/dev/ttyUSB0"], "second", Path("/results/second"), None, goes_on)
-    with pytest.raises(ExecutionError, match="in use by what is left of the experiment 'first'"), waiting:
+    with pytest.raises(ExecutionError, match="in use by the remaining processes of the experiment 'first'"), waiting:
         pass
     assert codes == [0]
 
@@ -200,7 +200,10 @@ def test_a_robot_is_refused_while_something_is_left_of_a_killed_experiment_that_
 ) -> None:
     _looked_at(["robot:domain 7"], "killed")
     claims = HeldClaims(["robot:domain 7/alice"], "second", tmp_path / "second", None, Path("killed").__eq__)
-    with pytest.raises(ExecutionError, match="which is in use by what is left of the experiment 'killed'"), claims:
+    with (
+        pytest.raises(ExecutionError, match="in use by the remaining processes of the experiment 'killed'"),
+        claims,
+    ):
         pass
 
 

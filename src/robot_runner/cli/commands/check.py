@@ -28,7 +28,7 @@ from robot_runner.core.config.preparation import Preparation, prepare
 from robot_runner.core.design.batches import as_configured
 from robot_runner.core.design.precision import rule_in_words
 from robot_runner.core.errors import Finding, errors_first
-from robot_runner.core.execution.begun_experiment import folder_refusals
+from robot_runner.core.execution.before_first_run import folder_refusals
 from robot_runner.core.execution.probe import Probe, probe_experiment
 from robot_runner.core.secret_names import shown_settings
 from robot_runner.core.words import shown_value
@@ -60,7 +60,7 @@ def execute(arguments: Namespace) -> int:
 
 
 def _judged(preparation: Preparation, found: Iterable[Finding]) -> Preparation:
-    """Return the preparation with what its folder, and a probe of its profilers, have shown; an error refuses it."""
+    """Return the preparation with the findings on its folder and by the probe; an error refuses it."""
     findings = errors_first([*preparation.findings, *found])
     is_refused = any(finding.is_error for finding in findings)
     return Preparation(None if is_refused else preparation.experiment, tuple(findings))
@@ -106,7 +106,7 @@ def _repeated(experiment: Experiment) -> str:
 
 
 def _seen(probe: Probe | None) -> Iterator[tuple[str, str]]:
-    """Yield what each profiler measured during the probe."""
+    """Yield the measures of each profiler during the probe, in words."""
     heading = "Probe"
     for profiler in probe.profilers if probe is not None else ():
         values = ", ".join(

@@ -48,7 +48,7 @@ def complete() -> None:
 
 
 def shell_code(shell: str) -> str:
-    """Return what a shell has to execute once, for `robot-runner` to be completed in it.
+    """Return the code by which a shell completes `robot-runner`, to be executed once.
 
     Raises:
         UsageError: argcomplete is not installed.
@@ -66,7 +66,7 @@ def _library() -> Any:
 
 
 def _parser_for(words: Sequence[str]) -> Parser:
-    """Return the parser of the command that the line names; before it names one, what chooses among them."""
+    """Return the parser of the command that the line names; before it names one, the parser of all."""
     commands = installed_commands()
     if words and words[0] in commands:
         os.environ[_START] = "2"

@@ -32,7 +32,7 @@ def add_arguments(parser: Parser) -> None:
 
 
 def execute(arguments: Namespace) -> int:
-    """Tell the experiment to go on, and see that it has taken the request."""
+    """Let the experiment go on, and wait until it has taken the request."""
     folder = target_or_only("continue", arguments.target, arguments.set)
     status = read_status(folder.root)
     if (status.is_paused or status.pause_is_requested) and not arguments.answer:

@@ -64,7 +64,7 @@ def add_arguments(parser: Parser) -> None:
 
 
 def execute(arguments: Namespace) -> int:
-    """Ask about everything, and tell it."""
+    """Print all diagnoses."""
     console = complaints()
     with quiet_loading():
         found = list(asked(questions(), tell=lambda text: console.print(text, style="dim")))
@@ -92,7 +92,7 @@ def _print(console: UserConsole, found: Sequence[Diagnosis]) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Diagnosis:
-    """What was found of one thing.
+    """The diagnosis of one subject.
 
     Attributes:
         area: what kind of thing it is.
@@ -110,7 +110,7 @@ class Diagnosis:
 
 @dataclass(frozen=True, slots=True)
 class Question:
-    """One thing that is asked about: `ask` returns its state, the detail and the fix."""
+    """A question of the diagnosis: `ask` returns state, detail and fix."""
 
     area: str
     name: str
@@ -118,7 +118,7 @@ class Question:
 
 
 def questions() -> list[Question]:
-    """Return everything that is asked about, in the order in which it is told."""
+    """Return all questions, in the order in which the answers are printed."""
     return [
         Question("Program", "robot-runner", _program),
         Question("Program", "Python", lambda: (READY, f"{platform.python_version()} ({sys.executable})", "")),
@@ -138,7 +138,7 @@ def asked(
     deadlines_s: tuple[float, float] = _DEADLINES_S,
     tell: Callable[[str], None] = lambda _: None,
 ) -> Iterator[Diagnosis]:
-    """Yield what is found, in order; all is asked at once, and what has not answered in time once more.
+    """Yield the diagnoses, in order; all are made at once, and again where there was no answer in time.
 
     Each is asked in a thread of its own: drivers and daemons that hang are among what is looked for.
 
@@ -273,7 +273,7 @@ def _link(link: str) -> tuple[str, str, str]:
 
 
 def _left_moving() -> tuple[str, str, str]:
-    """Tell of robots that experiments were killed with, of those that have claimed something last."""
+    """Report robots that killed experiments may have left moving, of the last holders of claims."""
     folders = claiming_folders()
     left = [(root, each) for root in folders for each in may_be_moving(ExperimentFolder.found_at(root))]
     found = [(f"{each.problem} ({root})", each.fix) for root, each in left]
@@ -312,7 +312,7 @@ _DEVICES = {
 
 
 def device_questions(folder: Path) -> list[Question]:
-    """Return what is asked about the devices in a folder, which is `/dev`."""
+    """Return the questions about devices in a folder, which is `/dev`."""
     return [Question("Devices", kind, partial(_devices, folder, patterns)) for kind, patterns in _DEVICES.items()]
 
 

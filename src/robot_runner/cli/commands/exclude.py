@@ -25,7 +25,7 @@ def add_arguments(parser: Parser) -> None:
 
 
 def execute(arguments: Namespace) -> int:
-    """Exclude the runs, and say which they are."""
+    """Exclude the runs, and print them."""
     folder, runs = target_and_runs("exclude", arguments.target, arguments.runs, arguments.set)
     excluded = exclude_runs(folder, runs, arguments.reason)
     if not excluded:

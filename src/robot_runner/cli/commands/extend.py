@@ -26,7 +26,7 @@ from robot_runner.core.config.preparation import prepare
 from robot_runner.core.design.asking import decides_order
 from robot_runner.core.design.batches import as_configured
 from robot_runner.core.design.design_findings import is_seed
-from robot_runner.core.design.growing import Additions, NewFactor
+from robot_runner.core.design.extended_design import Additions, NewFactor
 from robot_runner.core.secret_names import shown_assignments
 from robot_runner.core.words import counted
 
@@ -76,7 +76,7 @@ def add_arguments(parser: Parser) -> None:
 
 
 def execute(arguments: Namespace) -> int:
-    """Add the runs, or show what would be added."""
+    """Add the runs, or show them."""
     request = ExtensionRequest(
         added=Additions(arguments.repetitions, dict(_treatments(arguments)), dict(_factors(arguments))),
         seed=_checked_seed(arguments.seed),
@@ -112,7 +112,7 @@ def _factors(arguments: Namespace) -> Iterator[tuple[str, NewFactor]]:
 
 
 def _parts(text: str, option: str, form: str, given: Sequence[str]) -> tuple[str, str]:
-    """Return what stands before and behind the equals sign.
+    """Return the text before and behind the equals sign.
 
     Raises:
         UsageError: one of them is missing, or the same name is given twice.

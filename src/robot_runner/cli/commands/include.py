@@ -22,7 +22,7 @@ def add_arguments(parser: Parser) -> None:
 
 
 def execute(arguments: Namespace) -> int:
-    """Include the runs, and say which they are."""
+    """Include the runs, and print them."""
     folder, runs = target_and_runs("include", arguments.target, arguments.runs, arguments.set)
     included = include_runs(folder, runs, arguments.reason)
     print(f"{counted(len(included), 'run')} {'counts' if len(included) == 1 else 'count'} again: {listed(included)}.")

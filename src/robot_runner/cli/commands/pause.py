@@ -23,7 +23,7 @@ def add_arguments(parser: Parser) -> None:
 
 
 def execute(arguments: Namespace) -> int:
-    """Leave the request, and say when it takes effect."""
+    """Leave the request, and print when it takes effect."""
     folder = target_or_only("pause", arguments.target, arguments.set)
     status = read_status(folder.root)
     require_executed(status, shown_path(folder.root), "There is nothing to pause")

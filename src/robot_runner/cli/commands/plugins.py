@@ -21,13 +21,13 @@ from robot_runner.cli.parser import Parser, add_json
 from robot_runner.core.entry_points import EntryPoint
 from robot_runner.core.errors import Finding, PluginError
 from robot_runner.core.events.measure import Measure
-from robot_runner.core.late_annotations import signature_of
-from robot_runner.core.plugin import GROUPS, Plugin, installed_plugins, load_plugin
+from robot_runner.core.late_annotations import OPEN_KINDS, parameters_of
+from robot_runner.core.plugin import GROUPS, installed_plugins, load_plugin
 
 
 @dataclass(frozen=True, slots=True)
 class _Described:
-    """A plugin that could be imported, or the finding that says why not."""
+    """A plugin, or the finding why it could not be imported."""
 
     installed: EntryPoint
     summary: str = ""
@@ -61,7 +61,7 @@ def _described(installed: EntryPoint) -> _Described:
             summary=(inspect.getdoc(plugin) or "").partition("\n\n")[0].replace("\n", " "),
             measures=tuple(plugin.measures),
             needs=plugin.needs,
-            parameters=_parameters(plugin),
+            parameters=tuple(map(_written, parameters_of(plugin).values())),
         )
     except PluginError as error:
         return _Described(installed, finding=error.as_finding())
@@ -74,26 +74,9 @@ def _described(installed: EntryPoint) -> _Described:
         return _Described(installed, finding=finding)
 
 
-def _parameters(plugin: type[Plugin]) -> tuple[str, ...]:
-    """Return the parameters of a plugin; where it passes keywords on to its parents, theirs as well."""
-    written: dict[str, str] = {}
-    passed_on: dict[str, str] = {}
-    for kind in plugin.__mro__[:-1]:
-        if "__init__" in vars(kind):
-            own = list(signature_of(vars(kind)["__init__"]).parameters.values())[1:]
-            passed_on = {each.name: _written(each) for each in own if each.kind is each.VAR_KEYWORD}
-            for each in own:
-                if each.name not in passed_on:
-                    written.setdefault(each.name, _written(each))
-            if not passed_on:
-                break
-    written |= passed_on  # what no parent of ours takes
-    return tuple(written.values())
-
-
 def _written(parameter: inspect.Parameter) -> str:
     # As it would be typed into a config: the kinds and the annotations say more than a user asks for.
-    if parameter.kind in {parameter.VAR_POSITIONAL, parameter.VAR_KEYWORD}:
+    if parameter.kind in OPEN_KINDS:
         return str(parameter.replace(annotation=parameter.empty))
     default = parameter.default
     if default is parameter.empty:

@@ -52,7 +52,7 @@ def add_arguments(parser: Parser) -> None:
 
 
 def action_parsers() -> dict[str, Parser]:
-    """Return what each action takes."""
+    """Return a parser for each action."""
     listing = Parser("queue list", "Show what is in the queue, and who waits for whom.")
     add_json(listing)
     dropping = Parser("queue drop", "Take experiments out of the queue; their results stay.")
@@ -182,7 +182,7 @@ def _list(*, is_json: bool) -> int:
 
 
 def _state(queued: QueuedExperiment, queue: ExperimentQueue, known: list[QueuedExperiment]) -> tuple[str, str]:
-    """Return what is the matter with an experiment in one word, and more of it in others."""
+    """Return the state of an experiment in one word, and details in others."""
     if queued.has_ended:
         how = "done" if queued.exit_code == 0 else "failed"
         return how, f"at {queued.ended_at}{f': {queued.problem}' if queued.problem else ''}"

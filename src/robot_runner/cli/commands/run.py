@@ -27,7 +27,7 @@ from robot_runner.core.config.loader import parse_assignments
 from robot_runner.core.config.preparation import prepare
 from robot_runner.core.errors import Finding, RobotRunnerError
 from robot_runner.core.execution.left_systems import robots_left
-from robot_runner.core.execution.recovery import Resumption, TableChoice, TableDisagreementError, config_changes
+from robot_runner.core.execution.resumption import Resumption, TableChoice, TableDisagreementError, config_changes
 from robot_runner.core.secret_names import shown_assignments
 
 #: Options that stand for a static parameter.
@@ -92,14 +92,14 @@ def add_arguments(parser: Parser) -> None:
 
 
 def apply_shortcuts(arguments: Namespace) -> None:
-    """Take options that stand for a static parameter as what is set."""
+    """Take options that stand for a static parameter as if given by `--set`."""
     for name in _SHORTCUTS:
         if (given := getattr(arguments, name)) is not None:
             arguments.set = [*arguments.set, f"{name}={given}"]
 
 
 def under_given_names(findings: Sequence[Finding], arguments: Namespace) -> tuple[Finding, ...]:
-    """Return findings about what such an option set under the option's name: the config is not where to correct it."""
+    """Return findings on values of such options under the option's name, as the config is not the place to correct."""
 
     def named(finding: Finding) -> Finding:
         name = finding.where.removeprefix("--set ").partition("=")[0].rpartition(".")[2]
@@ -147,7 +147,7 @@ def prepare_and_execute(arguments: Namespace) -> tuple[int, dict[str, Any]]:
 
 @contextmanager
 def _page(arguments: Namespace, experiment: Experiment) -> Iterator[None]:
-    """Serve a live page meanwhile, where it is asked for, and say where."""
+    """Serve a live page meanwhile, if requested, and print its address."""
     if not arguments.page and arguments.page_at is None:
         yield
         return
@@ -157,7 +157,7 @@ def _page(arguments: Namespace, experiment: Experiment) -> Iterator[None]:
 
 
 def _execute(arguments: Namespace, experiment: Experiment, findings: Sequence[Finding]) -> Execution:
-    """Execute the experiment; if table and journal disagree, ask which one counts, and execute it again."""
+    """Execute the experiment; if table and journal disagree, ask which of them counts, and execute it again."""
     resumption = Resumption(
         accept_changes=arguments.accept_changes or _changes_are_accepted(experiment),
         **{option[2:]: tuple(getattr(arguments, option[2:])) for option in _CHOICES},
@@ -202,7 +202,7 @@ def _facts(experiment: Experiment, execution: Execution) -> dict[str, Any]:
         "failures": list(finished.failures),
         "excluded": list(finished.excluded),
         "is_interrupted": finished.interrupted,
-        "stopped_by": finished.stopped_by if finished.stopped_by_policy else None,
+        "stopped_by": finished.stopped_by or None,
         "seconds": finished.seconds,
         "findings": as_json(finished.findings),
     }
@@ -219,7 +219,7 @@ def _changes_are_accepted(experiment: Experiment) -> bool:
 
 
 def _chosen_table(disagreement: TableDisagreementError) -> TableChoice | None:
-    """Ask at a terminal which one counts; None if there is no answer."""
+    """Ask at a terminal whether table or journal counts; None if there is no answer."""
     if terminal_input() is None:
         return None
     show_findings(disagreement.findings)

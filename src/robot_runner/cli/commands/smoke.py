@@ -31,7 +31,7 @@ from robot_runner.core.config import preparation
 from robot_runner.core.config.dialects import load_config
 from robot_runner.core.config.loader import parse_assignments
 from robot_runner.core.execution.durations import Estimate
-from robot_runner.core.execution.recovery import Resumption
+from robot_runner.core.execution.resumption import Resumption
 from robot_runner.core.words import counted, shown_duration
 
 

@@ -82,7 +82,7 @@ def _bar(status: ExperimentStatus) -> Text:
 
 
 def _now(status: ExperimentStatus) -> Iterator[tuple[str, str]]:
-    """Yield what happens at this moment: a line for each place, where there are several."""
+    """Yield the present activity: a line for each place, where there are several."""
     heading = "Now"
     for gate in status.gates:
         seen = f": {one_line(gate['seen'])}" if gate["seen"] else ""
@@ -157,7 +157,8 @@ def _state(status: ExperimentStatus) -> str:
     if status.holder is None:
         if status.todo or status.failed or status.lacks_plan:
             return "not being executed; `robot-runner run` with its config resumes it"
-        return "all runs are done"
+        decides = f"; `robot-runner run` with its config decides {status.follows}" if status.follows else ""
+        return f"all runs{' so far' if decides else ''} are done{decides}"
     who = f"process {status.holder.pid} on {status.holder.host}"
     to_go_on = continue_command(status.folder)
     if status.is_waiting_for_user:

@@ -21,7 +21,7 @@ def add_arguments(parser: Parser) -> None:
 
 
 def execute(arguments: Namespace) -> int:
-    """Leave the request, and say what becomes of the run."""
+    """Leave the request, and print its effect on the run."""
     folder = target_or_only("stop", arguments.target, arguments.set)
     status = read_status(folder.root)
     require_executed(status, shown_path(folder.root), "There is nothing to stop")

@@ -163,7 +163,7 @@ def _file(file: RawFile) -> str:
 
 
 def _quality(trial: Trial) -> Iterator[tuple[str, str]]:
-    """Yield what the plugin's `quality.json` says, if it keeps one as the sampling kit writes it."""
+    """Yield the facts of the plugin's `quality.json`, if it keeps one as the sampling kit writes it."""
     samples = _samples(trial)
     if samples is None:
         return

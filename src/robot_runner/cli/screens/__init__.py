@@ -1,1 +1,1 @@
-"""What a terminal shows while an experiment is executed: a live screen, or plain lines."""
+"""The screens of a terminal while an experiment is executed: live, or plain lines."""

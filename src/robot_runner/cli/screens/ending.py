@@ -1,4 +1,4 @@
-"""What is printed at the end of an experiment: what is done, where the results are, warnings, and what to do next."""
+"""The summary at the end of an experiment: runs done and failed, place of the results, warnings, next steps."""
 
 from __future__ import annotations
 
@@ -60,13 +60,8 @@ def _verdict(finished: ExperimentFinished, progress: Progress) -> str:
         return f"{_everything(total)} done before: nothing was executed."
     if finished.done_count == total:
         return f"{_everything(total)} done ({shown_duration(finished.seconds)})."
-    why = (
-        "Interrupted: "
-        if finished.interrupted
-        else f"Stopped by {finished.stopped_by}: "
-        if finished.stopped_by_policy
-        else ""
-    )
+    stopped = f"Stopped by {finished.stopped_by}: " if finished.stopped_by else ""
+    why = "Interrupted: " if finished.interrupted else stopped
     return (
         f"{why}{finished.done_count:,} of {counted(total, 'run')} done, {finished.failed_count:,} failed, "
         f"{finished.todo_count:,} to do ({shown_duration(finished.seconds)})."

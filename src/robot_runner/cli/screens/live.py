@@ -1,4 +1,4 @@
-"""The live screen: a table of finished runs that grows, and beneath it what happens now."""
+"""The live screen: a growing table of finished runs, and beneath it the present activity."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _MOST_ROWS = 4
 
 
 class _Keyboard:
-    """Standard input that calls `give_way` before anybody waits for a line; everything else is as it was.
+    """Standard input that calls `give_way` before a line is read; otherwise unchanged.
 
     `input()` comes by here as well: while rich redirects stdout, Python reads the line from `sys.stdin`.
     """
@@ -57,7 +57,7 @@ class _Keyboard:
 
 @contextmanager
 def input_gives_way(give_way: Callable[[], None]) -> Iterator[None]:
-    """While this lasts, `give_way` is called before a callback of this process reads what somebody types."""
+    """While this lasts, `give_way` is called before a callback of this process reads from the keyboard."""
     earlier = sys.stdin
     keyboard: Any = _Keyboard(earlier, give_way)
     sys.stdin = keyboard
@@ -100,7 +100,7 @@ class LiveScreen:
         self._last: notices.AttemptFinished | None = None
 
     def __enter__(self) -> Self:
-        """Draw from here on; what a callback reads of the keyboard is typed beneath the table."""
+        """Draw from here on; input for callbacks is typed beneath the table."""
         if self.user_input is not None:
             self._keyboard.enter_context(input_gives_way(self._give_way))
         return self
@@ -113,7 +113,7 @@ class LiveScreen:
             self._take_live_part_away()
 
     def notice(self, notice: notices.Notice) -> None:
-        """Take a notice; what is permanent is printed above the live part, the rest is shown at the next refresh."""
+        """Take a notice; permanent lines are printed above the live part, the rest is shown at the next refresh."""
         self.progress.take(notice)
         match notice:
             case notices.PreparationStarted() | notices.ProbeStarted() | notices.HostRestarts():
@@ -158,7 +158,7 @@ class LiveScreen:
                 self._print_lines([Text(f"  {plain.gate_passed(notice)}", style="yellow")])
 
     def refresh(self) -> None:
-        """Draw what is new, unless it was drawn a moment ago: records come faster than anybody reads."""
+        """Draw news, unless the screen was drawn a moment ago: records come faster than anybody reads."""
         now = self._clock()
         if self.progress.is_waiting or now - self._drawn < (self.refresh_interval or 0) * 0.9:
             return
@@ -261,7 +261,7 @@ class LiveScreen:
         return counts
 
     def _current(self) -> list[Text]:
-        """Return what happens now: two lines of the only run, or one line of each place."""
+        """Return the present activity: two lines of the only run, or one line of each place."""
         runs = list(self.progress.in_flight.values())
         waits = list(self.progress.gates.values())
         if not runs and len(waits) <= 1:

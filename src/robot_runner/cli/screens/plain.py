@@ -39,7 +39,7 @@ def terminal_input() -> int | None:
 
 
 def forget_typed(descriptor: int | None) -> None:
-    """Discard what was typed before the question: an ENTER during a run must not start the next one."""
+    """Discard input typed before the question: an ENTER during a run must not start the next one."""
     if descriptor is not None:
         with suppress(termios.error):
             termios.tcflush(descriptor, termios.TCIFLUSH)
@@ -73,7 +73,7 @@ def closing(run_id: str) -> str:
 
 
 def request(waiting: notices.WaitingForUser, *, by_key: bool) -> str:
-    """Return what the user is asked for before a run, or after it."""
+    """Return the request to the user before a run, or after it, in words."""
     command = continue_command(waiting.folder, waiting.questions)
     run = f"run {waiting.next_run_number} of {waiting.run_count}"
     if not by_key:
@@ -91,7 +91,7 @@ def continue_command(folder: Path, questions: Sequence[Question] = ()) -> str:
 
 
 def run_to_come(waiting: notices.WaitingForUser, model: RunTableModel) -> list[str]:
-    """Return the lines about the run that the user is asked about: its treatments, what is left, and what to do."""
+    """Return the lines about the next run, before the user continues: its treatments, the time left, the steps."""
     if not waiting.run_id:
         return []
     treatments = treatments_in_words(waiting, model)
@@ -125,21 +125,21 @@ def pausing(paused: notices.Paused, *, by_key: bool) -> str:
 
 
 def waiting_at_gate(waiting: notices.GateWaiting) -> str:
-    """Return what is said once a run has to wait for a gate."""
+    """Return the text once a run has to wait for a gate."""
     return (
         f"run {waiting.run_number} of {waiting.run_count} ({waiting.run_id}) waits until {one_line(waiting.condition)}"
     )
 
 
 def waited_so_far(waiting: notices.GateWaiting) -> str:
-    """Return what was seen last while a gate is awaited, and for how long it has been."""
+    """Return the last look at a gate that is awaited, and for how long it has been."""
     most = f" of {shown_duration(waiting.timeout_s)}" if waiting.timeout_s is not None else ""
     seen = f"{one_line(waiting.seen)}   " if waiting.seen else ""
     return f"{seen}{shown_duration(waiting.seconds)}{most}"
 
 
 def gate_passed(passed: notices.GatePassed) -> str:
-    """Return what is said once the wait for a gate is over."""
+    """Return the text once the wait for a gate is over."""
     waited = f"{passed.run_id} waited {shown_duration(passed.seconds)} until {one_line(passed.condition)}"
     if passed.state == "open":
         return f"{waited}: {one_line(passed.seen)}" if passed.seen else waited
@@ -172,10 +172,10 @@ class PlainScreen:
         return self
 
     def __exit__(self, *raised: object) -> None:
-        """Leave what was printed."""
+        """Leave the printed lines."""
 
     def notice(self, notice: notices.Notice) -> None:
-        """Print what is worth a line; where nobody reads on (`| head`), the experiment goes on unseen."""
+        """Print a line for each notice worth one; after a broken pipe (`| head`) the experiment goes on unseen."""
         self.progress.take(notice)
         try:
             self._show(notice)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 
 from rich.text import Text
@@ -15,7 +15,7 @@ from robot_runner.core.design.run_table_model import RunTableModel
 from robot_runner.core.events.measure import PublishedMeasure, Quality
 from robot_runner.core.execution import notices
 from robot_runner.core.execution.durations import TimeLeft
-from robot_runner.core.execution.task import AttemptStatus, RunTask
+from robot_runner.core.execution.task import AttemptStatus, RunOutcome, RunTask
 from robot_runner.core.words import enumerated, one_line, shown_duration, shown_treatment, shown_value
 
 
@@ -38,7 +38,7 @@ class CurrentRun:
 
 
 class Progress:
-    """What a screen knows about an experiment.
+    """The progress of an experiment, for a screen.
 
     Args:
         clock: monotonic, in seconds.
@@ -49,7 +49,6 @@ class Progress:
         in_flight: the runs that are being executed, by id, in the order in which they began.
         run_ids: the runs that were executed in this session.
         origins: where the values of the run table came from, with the measures of each origin.
-        bad_values: the runs of this session whose values are not good, by measure and quality.
         is_waiting: whether the user is asked to go on, or the experiment is paused.
         gates: what is awaited before runs, by run: several places may wait at the same time.
         gate_seconds: how long gates that are over were awaited in this session, s of their clocks.
@@ -70,11 +69,20 @@ class Progress:
         self.in_flight: dict[str, CurrentRun] = {}
         self.run_ids: dict[str, None] = {}
         self.origins: dict[str, dict[str, None]] = {}
-        self.bad_values: dict[str, dict[str, list[str]]] = {}
+        self._bad: dict[str, dict[str, Quality]] = {}
         self.is_waiting = False
         self.gates: dict[str, notices.GateWaiting] = {}
         self.gate_seconds = 0.0
         self.has_begun = False
+
+    @property
+    def bad_values(self) -> dict[str, dict[str, list[str]]]:
+        """The runs of this session whose values are not good, by measure and quality."""
+        bad: dict[str, dict[str, list[str]]] = {}
+        for run_id, qualities in self._bad.items():
+            for name, quality in qualities.items():
+                bad.setdefault(name, {}).setdefault(quality.value, []).append(run_id)
+        return bad
 
     @property
     def elapsed(self) -> float:
@@ -118,17 +126,23 @@ class Progress:
             case notices.AttemptFinished():
                 self._take_end(notice)
                 self._take_left(notice.left)
+            case notices.OutcomeAmended():
+                self._take_amended(notice.run_id, notice.outcome)
             case notices.NextDecided():
                 self.run_count = notice.run_count
             case notices.WaitingForUser() | notices.Paused() | notices.UserHasContinued():
                 self.is_waiting = not isinstance(notice, notices.UserHasContinued)
-            case notices.GateWaiting():
-                self.gates[notice.run_id] = notice
-            case notices.GatePassed():
-                self.gates.pop(notice.run_id, None)
-                self.gate_seconds += notice.seconds
+            case notices.GateWaiting() | notices.GatePassed():
+                self._take_gate(notice)
             case notices.ExperimentFinished():
                 self.done, self.failed = notice.done_count, notice.failed_count
+
+    def _take_gate(self, notice: notices.GateWaiting | notices.GatePassed) -> None:
+        if isinstance(notice, notices.GateWaiting):
+            self.gates[notice.run_id] = notice
+        else:
+            self.gates.pop(notice.run_id, None)
+            self.gate_seconds += notice.seconds
 
     def _take_left(self, left: TimeLeft | None) -> None:
         self._left, self._left_since = left, self._clock()
@@ -136,8 +150,6 @@ class Progress:
     def _take_record(self, notice: notices.RunRecord) -> None:
         run, kind, fields = self.in_flight.get(notice.run_id), notice.kind, notice.fields
         if run is None:
-            if kind == "measure" and fields["value"] is not None:  # somebody was asked for it after the run
-                self.origins.setdefault(str(fields["origin"]), {})[str(fields["name"])] = None
             return
         if kind == "event":
             run.event = str(fields["event"])
@@ -156,10 +168,7 @@ class Progress:
         status = notice.outcome.status
         if status is AttemptStatus.INTERRUPTED:
             return
-        for name in self._columns:
-            measure = notice.outcome.measures.get(name)
-            if measure is not None and measure.value is not None:
-                self.origins.setdefault(measure.origin.value, {})[name] = None
+        self._take_origins(self._columns, notice.outcome.measures)
         if notice.is_last:
             if status is AttemptStatus.DONE:
                 self._take_qualities(notice.task.run_id, notice.outcome.measures)
@@ -170,17 +179,25 @@ class Progress:
                 self._failed.add(notice.task.run_id)
             self.failed = len(self._failed)
 
+    def _take_amended(self, run_id: str, outcome: RunOutcome) -> None:
+        self._take_origins((*self._columns, *self._asked_for), outcome.measures)
+        if outcome.status is AttemptStatus.DONE:
+            self._take_qualities(run_id, outcome.measures)
+
+    def _take_origins(self, columns: Iterable[str], measures: Mapping[str, PublishedMeasure]) -> None:
+        for name in columns:
+            measure = measures.get(name)
+            if measure is not None and measure.value is not None:
+                self.origins.setdefault(measure.origin.value, {})[name] = None
+
     def _take_qualities(self, run_id: str, measures: Mapping[str, PublishedMeasure]) -> None:
-        for name in self._columns:
-            if name not in measures and name in self._asked_for:
-                continue
-            quality = measures[name].quality if name in measures else Quality.MISSING
-            if quality is not Quality.GOOD:
-                self.bad_values.setdefault(name, {}).setdefault(quality.value, []).append(run_id)
+        wanted = [name for name in self._columns if name in measures or name not in self._asked_for]
+        found = {name: measures[name].quality if name in measures else Quality.MISSING for name in wanted}
+        self._bad[run_id] = {name: quality for name, quality in found.items() if quality is not Quality.GOOD}
 
 
 def _said(values: object) -> str:
-    """Return the phase that a plugin is in, or whatever else it shared last."""
+    """Return the phase of a plugin, or the value that it shared last."""
     if not isinstance(values, dict):
         return ""
     if "phase" not in values:
@@ -204,7 +221,7 @@ def shown_measure(published: PublishedMeasure | None) -> str:
 
 
 def treatments_in_words(task: RunTask | notices.WaitingForUser, model: RunTableModel) -> str:
-    """Return what a run varies, as `Task=Video, Repetition=3`."""
+    """Return the treatments of a run, as `Task=Video, Repetition=3`."""
     parts = [f"{name}={shortened(shown_treatment(treatment))}" for name, treatment in task.combination.items()]
     if task.repetition == 0:
         parts.append("warm-up")

@@ -9,6 +9,8 @@ from typing import Any
 
 from robot_runner.core.errors import ConfigError, Finding
 
+#: No affiliation looks so: one with a digit too few is refused.
+_MEANT_AS_ORCID = re.compile(r"(?i).*orcid\.org/.*|[\dx -]*\d[\dx -]*")
 _ORCID = re.compile(r"(?:https://orcid\.org/)?(\d{4}-\d{4}-\d{4}-\d{3}[\dX])")
 _URL = re.compile(r"https?://[^\s/]+\S*")
 _SPDX = re.compile(r"[A-Za-z0-9][A-Za-z0-9.+-]*")
@@ -76,7 +78,7 @@ def is_licence(value: object) -> bool:
 
 def _author(text: str) -> Author:
     name, *parts = (part.strip() for part in text.split(";"))
-    orcid = next((part for part in parts if _ORCID.fullmatch(part)), None)
+    orcid = next((part for part in parts if _MEANT_AS_ORCID.fullmatch(part)), None)
     url = next((part for part in parts if part != orcid and _URL.fullmatch(part)), None)
     rest = [part for part in parts if part and part not in {orcid, url}]
     if len(rest) > 1:

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from robot_runner.core.config.loader import LoadedConfig
-from robot_runner.core.config.parameters import Parameters, RunProcess
+from robot_runner.core.config.parameters import BadValuePolicy, Parameters, RunProcess
 from robot_runner.core.config.source import tree_of
 from robot_runner.core.errors import Finding
 from robot_runner.core.events.manager import (
@@ -36,8 +36,12 @@ def check_callbacks(loaded: LoadedConfig, parameters: Parameters, events: EventM
     found: dict[tuple[str, str, str], None] = dict.fromkeys(_replaced_files(code, events))
     if parameters.run_process is not RunProcess.IN_PROCESS:
         found |= dict.fromkeys(_lost_changes(code, events))
+    if parameters.run_process is RunProcess.SPAWN or parameters.cluster is not None:
+        found |= dict.fromkeys(_unseen_changes(code, events))
     if parameters.run_process is RunProcess.FORK:
         found |= dict.fromkeys(_shared_generators(code, events))
+    if parameters.on_bad_value is not BadValuePolicy.KEEP:
+        found |= dict.fromkeys(_measured_too_late(code, events))
     if is_simulated(parameters.robot):
         found |= dict.fromkeys(_sleeping_missions(code, events))
     elif parameters.run_process is not RunProcess.IN_PROCESS:
@@ -138,6 +142,20 @@ def _lost_changes(code: _LocalCode, events: EventManager) -> Iterator[tuple[str,
                 yield each.owner, problem, _FIX_OF_CHANGE
 
 
+def _unseen_changes(code: _LocalCode, events: EventManager) -> Iterator[tuple[str, str, str]]:
+    of_runs = [each for event in RUN_EVENTS for each in events.subscribers(event)]
+    for event in (RobotRunnerEvents.BEFORE_EXPERIMENT, RobotRunnerEvents.BEFORE_RUN):
+        for each in events.subscribers(event):
+            own = [other for other in of_runs if other.owner == each.owner]
+            read = set(chain.from_iterable(_read_by(code.called_by(other)) for other in own))
+            read -= set(chain.from_iterable(_changed_by(code.called_by(other), code.containers) for other in own))
+            changed = dict.fromkeys(_changed_by(code.called_by(each), code.containers))
+            if unseen := [f"self.{name}" for name in changed if name in read]:
+                problem = f"{event.callback_name} changes {listed(unseen)}, which runs read: "
+                problem += "a run in a fresh interpreter (SPAWN), or on a worker of a cluster, sees nothing of it"
+                yield each.owner, problem, "Pass it by context.share in before_run, or set it up in start_run."
+
+
 def _containers_in(node: ast.AST) -> Iterator[str]:
     """Yield the variables and attributes to which a list, a dict or a set is assigned."""
     match node:
@@ -189,7 +207,7 @@ def _read_by(called_code: Iterator[_CalledCode]) -> Iterator[str]:
 
 
 # Random generators that are made once: each forked run inherits the same state. The global ones of `random` and
-# `numpy.random` are seeded for each run (core/execution/inherited.py).
+# `numpy.random` are seeded for each run (core/execution/inherited_state.py).
 
 #: By module and class: `random.SystemRandom` draws from the system, and has no state.
 _GENERATORS = {
@@ -342,3 +360,29 @@ def _fixed_name(file: ast.AST, called: _CalledCode) -> str | None:
             return str(value)
         case _:
             return None
+
+
+# Measures that are published after the run, which is judged by then.
+
+_FIX_OF_MEASURE = (
+    "Publish it in populate_run_data, or have a person asked for it by an OperatorStep with after=True; "
+    "otherwise each run fails, or is tried again."
+)
+
+
+def _measured_too_late(code: _LocalCode, events: EventManager) -> Iterator[tuple[str, str, str]]:
+    for each in events.subscribers(RobotRunnerEvents.CONTINUE):
+        nodes = chain.from_iterable(called.nodes for called in code.called_by(each))
+        if names := sorted({name for node in nodes if (name := _published(node))}):
+            problem = f"{RobotRunnerEvents.CONTINUE.callback_name} publishes {', '.join(names)} once a run is over, "
+            yield each.owner, f"{problem}which on_bad_value has taken for missing", _FIX_OF_MEASURE
+
+
+def _published(node: ast.AST) -> str | None:
+    """Return the name of the measure that a call publishes; None for anything else, and where it is computed."""
+    if not (isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.func.attr == "publish"):
+        return None
+    if len(node.args) > 2:  # noqa: PLR2004 - a message to a topic, with its type
+        return None
+    named = [*node.args[:1], *(each.value for each in node.keywords if each.arg == "name")]
+    return next((str(each.value) for each in named if isinstance(each, ast.Constant)), None)

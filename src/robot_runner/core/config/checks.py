@@ -43,7 +43,7 @@ from robot_runner.core.storage.executed_runs import done_runs
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.run_table_reading import read_run_table
 from robot_runner.core.storage.table_columns import TableLayout
-from robot_runner.core.vain_parameters import parameters_guarded
+from robot_runner.core.treatments import parameters_guarded
 from robot_runner.core.words import counted
 
 # Columns with misspelt names of measures.
@@ -52,12 +52,13 @@ from robot_runner.core.words import counted
 def check_columns(columns: MeasureColumns) -> list[Finding]:
     """Return a warning for each column of the config whose name is close to a plugin's measure without a column."""
     left_out = {each.name: each for each in columns.declared if not each.is_in_table}
+    yielded = {each.measure.name for each in left_out.values()}  # by several plugins: that is an error of its own
     findings = []
     for column in columns.in_table:
         if column.owner != CONFIG_OWNER or column.measure != Measure(column.name):  # one with a unit is meant as it is
             continue
         name, near = column.name, nearest(column.name, left_out, SLIP)
-        if near is not None:
+        if near is not None and name not in yielded:
             problem = f"no plugin yields {name!r}, and {left_out[near].owner}'s {near!r} has no column"
             own = f"If the config publishes {name!r}, declare it: Measure({name!r}, unit, meaning)."
             findings.append(Finding.warning("data_columns", problem, f"Did you mean {near!r}? {own}"))
@@ -272,7 +273,7 @@ def check_results_path(loaded: LoadedConfig, parameters: Parameters) -> list[Fin
 def check_disk_space(
     loaded: LoadedConfig, parameters: Parameters, plugins: Sequence[Plugin], runs: int
 ) -> list[Finding]:
-    """Return a finding if the disk has too little room for what the plugins will keep."""
+    """Return a finding if the disk has too little room for the files of the plugins."""
     each = _BYTES_PER_RUN + sum(plugin.bytes_per_run for plugin in plugins)
     try:
         files = experiment_folder(parameters, loaded)
@@ -364,9 +365,17 @@ def create_model(loaded: LoadedConfig) -> tuple[RunTableModel | None, list[Findi
     if isinstance(model, RunTableModel):
         refused = _take_listed(model, table)
         take_registered_seed(loaded, model)
-        return (None, refused) if refused else (model, list(model.warnings))
+        return (None, refused) if refused else (model, [*model.warnings, *_empty_treatments(model)])
     problem = f"create_run_table returned {_shown(created)}"
     return None, [Finding.error(where, problem, "Return the RunTableModel (`return run_table`).")]
+
+
+def _empty_treatments(model: RunTableModel) -> Iterator[Finding]:
+    problem = "treatment '' is an empty cell of the run table, which R and pandas read as a missing value"
+    fix = "Give it a name, such as 'none', and translate that where it is used."
+    for factor in model.factors:
+        if factor.position_of_text("") is not None:
+            yield Finding.warning(f"factor {factor.name!r}", problem, fix)
 
 
 def _shown(created: object) -> str:
@@ -374,15 +383,14 @@ def _shown(created: object) -> str:
     return text if len(text) <= 60 else f"{text[:57]}..."  # noqa: PLR2004 - one line of a terminal
 
 
-def check_threads(loaded: LoadedConfig, parameters: Parameters) -> list[Finding]:
-    """Return a warning where runs would be forked from a process in which the config has started threads."""
-    if not loaded.threads or parameters.run_process is not RunProcess.FORK:
-        return []
-    names = ", ".join(loaded.threads)
-    return [
-        Finding.warning(
-            loaded.where,
-            f"the config starts threads while it is loaded ({names}); a forked run may hang",
-            "Start them in start_run, or choose run_process = RunProcess.SPAWN.",
-        )
-    ]
+def check_run_process(loaded: LoadedConfig, parameters: Parameters) -> list[Finding]:
+    """Return warnings of threads in a process that forks runs, and of deadlines of which nobody takes care."""
+    found = []
+    if loaded.threads and parameters.run_process is RunProcess.FORK:
+        problem = f"the config starts threads while it is loaded ({', '.join(loaded.threads)}); a forked run may hang"
+        found.append((problem, "Start them in start_run, or choose run_process = RunProcess.SPAWN."))
+    given = [each for each in ("run_deadline_in_s", "event_deadline_in_s") if getattr(parameters, each) is not None]
+    if given and parameters.run_process is RunProcess.IN_PROCESS:
+        problem = f"run_process is IN_PROCESS: nobody ends a run that takes longer than {' or '.join(given)}"
+        found.append((problem, "Leave run_process out: a run in a process of its own can be ended."))
+    return [Finding.warning(loaded.where, problem, fix) for problem, fix in found]

@@ -1,4 +1,4 @@
-"""What a run claims for itself, so that runs which would disturb each other never overlap.
+"""Claims of runs: runs that would disturb each other never overlap.
 
 A claim is a text: `host:localhost` is this machine, its processor, memory and energy; `robot:ros2`, `host:pi@robot`,
 `serial:/dev/ttyUSB0` and `device:camera 0` name what their plugins use. A plugin or config without declared claims
@@ -76,7 +76,7 @@ def worker_count(parameters: Parameters) -> int:
 
 
 class Claims:
-    """What the runs of an experiment claim, and who makes each claim.
+    """The claims of the runs of an experiment, and the plugins, or the config, that make each.
 
     Args:
         parameters: of the experiment.
@@ -93,7 +93,7 @@ class Claims:
         self._known: dict[tuple[object, ...], tuple[str, ...]] = {}
 
     def of(self, combination: Mapping[str, Any], robot: str | None = None) -> dict[str, list[str]]:
-        """Return the claims of a run with these treatments, each with the names of those who make it.
+        """Return the claims of a run with these treatments, each with the names of the plugins that make it.
 
         Args:
             combination: its treatments.
@@ -114,7 +114,7 @@ class Claims:
         return common or {}
 
     def against_others(self, combinations: Iterable[Mapping[str, Any]]) -> frozenset[str]:
-        """Return what these runs claim against other experiments: declared claims, and real robots.
+        """Return the claims of these runs against other experiments: declared ones, and real robots.
 
         The default claim on the whole machine only keeps runs of this experiment apart. On a cluster, claims are about
         other machines, except that on the robot.
@@ -200,7 +200,7 @@ def _of_config(parameters: Parameters, events: EventManager) -> Iterator[str]:
 
 
 def held_claims(claims: Claims, model: RunTableModel) -> frozenset[str]:
-    """Return what an experiment of this design claims against others."""
+    """Return the claims of an experiment of this design against others."""
     return claims.against_others(run.combination for run in model.plan())
 
 

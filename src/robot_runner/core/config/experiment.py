@@ -114,7 +114,7 @@ def experiment_folder(parameters: Parameters, loaded: LoadedConfig) -> Experimen
     return folder
 
 
-def grown_model(model: RunTableModel, folder: ExperimentFolder) -> RunTableModel:
+def extended_model(model: RunTableModel, folder: ExperimentFolder) -> RunTableModel:
     """Return the design with the batches and repetitions that were added to the experiment, by its journal.
 
     Raises:
@@ -149,8 +149,7 @@ def event_manager_for(loaded: LoadedConfig, plugins: tuple[Plugin, ...]) -> Even
             gather(manager.subscribe, event, method, owner=plugin.name, kind=kind)
         for name in ("make_safe", "stand_by") if is_system else ():
             gather(_check_called_with_context, name, getattr(plugin, name), plugin.name)
-    own = ((request.event, request.callback) for request in loaded.subscriptions)
-    for event, callback in (*own, *methods_of(loaded.config)):
+    for event, callback in (*loaded.subscriptions, *methods_of(loaded.config)):
         gather(manager.subscribe, event, callback, owner=CONFIG_OWNER, kind=OwnerKind.CONFIG)
     ConfigError.refuse(findings)
     return manager

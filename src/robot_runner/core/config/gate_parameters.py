@@ -1,4 +1,4 @@
-"""Gates and guards of a config: what is awaited before each run, and watched during it."""
+"""Gates and guards of a config: conditions awaited before each run, and watched during it."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from robot_runner.core.events.condition import Condition
 
 
 class GatePolicy(Enum):
-    """What follows a gate whose condition did not hold in time.
+    """The consequence of a gate whose condition did not hold in time.
 
     STOP: the experiment stops; the run is still to do, and the same command goes on with it.
     WAIT: the gate is awaited all the same, and a warning says that it takes long.
@@ -27,7 +27,7 @@ class GatePolicy(Enum):
 
 
 class GuardAction(Enum):
-    """What follows a guard whose condition comes true while a run is measured.
+    """The consequence of a guard whose condition comes true while a run is measured.
 
     MARK: the run goes on, and all of its values are doubtful.
     REPEAT: the attempt fails at once while `attempts` leaves another one; the last attempt is marked instead.

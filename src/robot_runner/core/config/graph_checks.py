@@ -1,4 +1,4 @@
-"""Checking before any run that the robot's graph has what plugins need, with each treatment."""
+"""Checking before any run that the robot's graph has the names that plugins need, with each treatment."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class GraphCheck:
                 self._failed.append(error.as_finding())
 
     def findings(self, robot: str | None) -> Iterator[Finding]:
-        """Yield what is missing on the graph of one robot: a warning where the experiment may start it itself.
+        """Yield a finding for each name missing on a robot's graph: a warning where the experiment may start it itself.
 
         A mistake in a plugin, such as a field of its goal, remains an error.
         """
@@ -65,7 +65,7 @@ def _starters(parameters: Parameters, plugins: Sequence[Plugin], events: EventMa
     heard = [each for event in _BEFORE for each in events.subscribers(event) if each.kind is OwnerKind.CONFIG]
     yield from dict.fromkeys(f"{each.event.callback_name} of the config" for each in heard)
     if parameters.gates:
-        yield "whoever a gate waits for"
+        yield "the program that a gate waits for"
     if parameters.operator_steps:
         yield "the operator"
 
@@ -73,12 +73,13 @@ def _starters(parameters: Parameters, plugins: Sequence[Plugin], events: EventMa
 def _needs(
     plugins: Sequence[Plugin], model: RunTableModel | None, robot: str, failed: list[Finding]
 ) -> dict[str, list[GraphNeed]]:
-    """Return what each plugin needs, below its own namespace, with any of its treatments."""
+    """Return the needed names of each plugin, below its own namespace, with any of its treatments."""
     needs: dict[str, list[GraphNeed]] = {}
     factors = {factor.name: factor.treatments for factor in model.factors} if model else {}
     for plugin in plugins:
         where = f"plugin {plugin.name}"
         wanted: dict[GraphNeed, None] = {}
+        built = plugin
         try:
             for built in with_each_treatment(plugin, model):
                 prefix = namespace_prefix(getattr(built, "namespace", "") or "")
@@ -86,7 +87,7 @@ def _needs(
                     name = need.name if need.name.startswith("/") or not prefix else f"{prefix[1:]}/{need.name}"
                     wanted[replace(need, name=name)] = None
         except (Exception, SystemExit) as error:  # noqa: BLE001 - a stranger's code; what it raises is a finding like others
-            failed.append(failed_check(where, error, "required_graph"))
+            failed.append(failed_check(where, error, "required_graph", built))
         if wanted:
             needs[where] = list(wanted)
     return needs

@@ -24,14 +24,13 @@ from robot_runner.core.config.parameter_kinds import FLAG, Kind, choice
 from robot_runner.core.config.parameters import PARAMETERS
 from robot_runner.core.config.source import ConfigSource, activating_imports, read_source
 from robot_runner.core.errors import ConfigError, Finding, RobotRunnerError, did_you_mean
-from robot_runner.core.events.manager import RequestedSubscription, recorded_subscriptions
+from robot_runner.core.events.manager import Subscription, recorded_subscriptions
 from robot_runner.core.late_annotations import signature_of
 from robot_runner.core.plugin import Plugin
 from robot_runner.core.secret_names import shown_settings
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.table_columns import OWN_SPELLING, TableSpelling
-from robot_runner.core.treatments import is_waiting
-from robot_runner.core.vain_parameters import CONFIG_MODULE, parameters_guarded
+from robot_runner.core.treatments import CONFIG_MODULE, is_waiting, parameters_guarded
 
 # Static parameters set from the command line: `--set robot=simulated`.
 
@@ -135,7 +134,7 @@ class LoadedConfig:
 
     source: ConfigSource
     config: Any
-    subscriptions: tuple[RequestedSubscription, ...]
+    subscriptions: tuple[Subscription, ...]
     activated: tuple[type[Plugin], ...]
     overrides: Mapping[str, str]
     local_modules: Mapping[Path, Path]
@@ -160,8 +159,8 @@ def load_config(path: Path, overrides: Mapping[str, str] = MappingProxyType({}))
             set does not exist.
     """
     source = read_source(path)
+    make_importable(source.path.parent)
     with (
-        importable(source.path.parent),
         activating_imports() as activated,
         recorded_subscriptions() as subscriptions,
         raised_in(source.path, "while it was loaded"),
@@ -279,15 +278,10 @@ def _fix_of_import(error: BaseException) -> str:
     return did_you_mean(name, dir(sys.modules[module]), "") if module in sys.modules else ""
 
 
-@contextmanager
-def importable(folder: Path) -> Iterator[None]:
-    """Let modules in this folder be imported.
-
-    The folder stays importable: callbacks may import their neighbours when they are called.
-    """
+def make_importable(folder: Path) -> None:
+    """Let modules in this folder be imported, from now on: callbacks may import their neighbours later."""
     if str(folder) not in sys.path:
         sys.path.insert(0, str(folder))
-    yield
 
 
 _loaded_now: ContextVar[Path | None] = ContextVar("_loaded_now", default=None)

@@ -19,7 +19,7 @@ from types import ModuleType
 from urllib.parse import unquote, urlsplit
 
 from robot_runner.core.config.source import tree_of
-from robot_runner.core.vain_parameters import CONFIG_MODULE
+from robot_runner.core.treatments import CONFIG_MODULE
 
 #: Python's modules and ours, which may be below the config's folder, too, if that is the home folder.
 _OF_NO_CONFIG = (Path(os.__file__).parent, Path(__file__).parents[2])

@@ -125,8 +125,7 @@ def _question_findings(
     if not isinstance(question.choices, list | tuple):
         yield Finding.error(at, f"choices is {question.choices!r}", "Give a list.")
         return
-    if not isinstance(question.unit, str) or not isinstance(question.text, str):
-        yield Finding.error(at, "unit and text are not both texts", 'Give texts, such as unit="V".')
+    yield from _type_findings(at, question)
     if kind not in ANSWER_TYPES.values():
         yield Finding.error(at, f"the type is {kind!r}", "Choose float, int, str or bool.")
         return
@@ -138,6 +137,13 @@ def _question_findings(
     texts = Counter(str(choice).casefold() for choice in question.choices)
     if twice := [text for text, times in texts.items() if times > 1]:
         yield Finding.error(at, f"choices look alike: {listed(twice)}", "Rename or remove one.")
+
+
+def _type_findings(at: str, question: Question) -> Iterator[Finding]:
+    if not isinstance(question.unit, str) or not isinstance(question.text, str):
+        yield Finding.error(at, "unit and text are not both texts", 'Give texts, such as unit="V".')
+    if not isinstance(question.note, bool) or not isinstance(question.optional, bool):
+        yield Finding.error(at, "note and optional are not both True or False", "Give True or False, without quotes.")
 
 
 def _limit_findings(at: str, question: Question) -> Iterator[Finding]:

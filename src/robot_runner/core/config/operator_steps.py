@@ -140,7 +140,7 @@ class Question:
         return f"a {_TYPE_NAMES[self.kind]}{limits}{unit}"
 
     def as_mapping(self) -> dict[str, Any]:
-        """Return the question as plain data: the journal keeps it, so that any terminal knows what is asked."""
+        """Return the question as plain data: the journal keeps it, so that any terminal can show it."""
         facts = {name: getattr(self, name) for name in _PLAIN}
         return {"name": self.name, "type": _TYPE_NAMES[self.kind], "choices": list(self.choices), **facts}
 
@@ -157,7 +157,7 @@ def _shown(choice: Any) -> str:
 
 @dataclass(frozen=True, slots=True)
 class OperatorStep:
-    """What a person does before a run, such as swapping a battery. The run starts once they say that it is done.
+    """A person's work before a run, such as swapping a battery. The run starts once they confirm it.
 
     By default, a step is done before each run, and before each further attempt at it. With `after` it is done once a
     run is done, and the next one at its place waits until then.

@@ -28,21 +28,21 @@ from robot_runner.core.plugin import Plugin
 
 
 class OperationType(Enum):
-    """Whether a run starts automatically (AUTO), or once the user says so (SEMI: to swap a battery, say)."""
+    """Whether a run starts automatically (AUTO), or once the user continues (SEMI: after swapping a battery, say)."""
 
     AUTO = "auto"
     SEMI = "semi"
 
 
 class FailurePolicy(Enum):
-    """What follows a run whose last attempt failed: go on with the next run, or stop the experiment."""
+    """The consequence of a run whose last attempt failed: go on with the next run, or stop the experiment."""
 
     CONTINUE = "continue"
     STOP = "stop"
 
 
 class BadValuePolicy(Enum):
-    """What follows a value of the run table that is missing or not plausible.
+    """The consequence of a value of the run table that is missing or not plausible.
 
     KEEP: the run counts, and the value is kept with the reason.
     TRY_AGAIN: the attempt counts as failed while `attempts` leaves another one; the last attempt's values are kept.
@@ -320,7 +320,7 @@ class Parameters(StaticParameters):
 
 
 class ExperimentConfig(StaticParameters):
-    """An experiment: its static parameters, its run table, its plugins, and what happens at its events.
+    """An experiment: its static parameters, its run table, its plugins, and its callbacks.
 
     A method that is named like an event is called at it: `before_experiment`, `before_run`, `start_run`,
     `start_measurement`, `launch_mission`, `stop_measurement`, `stop_run`, `populate_run_data`,

@@ -18,9 +18,9 @@ from robot_runner.core.entry_points import EntryPoint, entry_points, instances_o
 from robot_runner.core.errors import SLIP, Finding, RobotRunnerError, did_you_mean, nearest
 from robot_runner.core.events.manager import EVENTS_BY_CALLBACK
 from robot_runner.core.events.measure import Measure
-from robot_runner.core.late_annotations import code_of, names_read_by
+from robot_runner.core.late_annotations import code_of, mistyped, names_read_by
 from robot_runner.core.plugin import Circumstances, Plugin, refused_name
-from robot_runner.core.treatments import Treatment, bind, built_with, factors_of, given_name
+from robot_runner.core.treatments import Treatment, bind, built_with, factors_of, given_name, given_to
 
 T = TypeVar("T")
 
@@ -59,7 +59,7 @@ def companions(parameters: Parameters, plugins: Sequence[Plugin]) -> tuple[tuple
         try:
             added += instances_of(Plugin, point.load()(parameters, plugins))
         except (Exception, SystemExit) as error:  # noqa: BLE001 - a stranger's code; what it raises is a finding like others
-            findings.append(failed_check(point.where, error, "it"))
+            findings.append(failed_check(point.where, error, "the function"))
     return tuple(added), findings
 
 
@@ -88,7 +88,8 @@ def check_plugins(
             planned = (run.combination for run in _some_of(model, factors_of(plugin)))
             findings += _checked_with_each(plugin, plugins, planned, around)
         else:
-            findings += asked(plugin.name, partial(plugin.check, replace(around, plugins=tuple(plugins))))
+            check = partial(plugin.check, replace(around, plugins=tuple(plugins)))
+            findings += asked(plugin.name, check, plugin=plugin)
     return findings
 
 
@@ -115,23 +116,30 @@ def with_each_treatment(plugin: Plugin, model: RunTableModel | None) -> Iterator
     yield from (built_with(plugin, combination) for combination in _distinct(planned, factors_of(plugin).values()))
 
 
-def asked(where: str, check: Callable[[], Iterable[Finding]]) -> list[Finding]:
-    """Return the findings of another package's check; an exception becomes a finding."""
+def asked(
+    where: str, check: Callable[[], Iterable[Finding]], what: str = "the check", plugin: Plugin | None = None
+) -> list[Finding]:
+    """Return the findings of another package's check, or of `what` it does; an exception becomes a finding."""
     try:
         return instances_of(Finding, check())
     except (Exception, SystemExit) as error:  # noqa: BLE001 - a stranger's code
-        return [failed_check(where, error)]
+        return [failed_check(where, error, what, plugin)]
 
 
-def announced_findings(group: str, find: Callable[[EntryPoint], Iterable[Finding]]) -> list[Finding]:
-    """Return the findings of all entry points in a group."""
-    return [finding for point in entry_points(group) for finding in asked(point.where, partial(find, point))]
+def announced_findings(
+    group: str, find: Callable[[EntryPoint], Iterable[Finding]], what: str = "the check"
+) -> list[Finding]:
+    """Return the findings of all entry points in a group, for each of which `find` is called."""
+    return [finding for point in entry_points(group) for finding in asked(point.where, partial(find, point), what)]
 
 
-def failed_check(where: str, error: BaseException, what: str = "the check") -> Finding:
-    """Return the finding for a check, or another function of a package, that raised."""
+def failed_check(where: str, error: BaseException, what: str = "the check", plugin: Plugin | None = None) -> Finding:
+    """Return the finding for a check, or another function of a package or plugin, that raised."""
     if isinstance(error, RobotRunnerError):
         return Finding.error(error.where or where, error.problem, error.fix)
+    if plugin is not None:
+        for each in mistyped(type(plugin), given_to(plugin)):
+            return Finding.error(type(plugin).__name__, each.problem, each.fix)
     problem = f"{what} raised {type(error).__name__}: {error}"
     return Finding.error(where, problem, "Tell the plugin's author; update or leave out the plugin.")
 
@@ -332,9 +340,14 @@ def _malformed(plugin: Plugin) -> list[Finding]:
     except (Exception, SystemExit) as error:  # noqa: BLE001 - a stranger's code; what it raises is a finding like others
         problem = f"measures: {error if isinstance(error, TypeError) else f'{type(error).__name__}: {error}'}"
         return [Finding.error(where, problem, 'Give a list, such as [Measure("Energy", "J")].')]
+    # A text is true, whatever it says: "off" as well.
+    misread = [
+        each for each in mistyped(type(plugin), given_to(plugin)) if bool in each.types and type(each.value) is str
+    ]
     counts = Counter(each.name for each in measures)
     twice = (f"there are {count} measures {name!r}" for name, count in counts.items() if count > 1)
     found = [Finding.error(where, problem, "Rename or remove one.") for problem in twice]
+    found += [Finding.error(where, each.problem, each.fix) for each in misread]
     for name, is_sound, fix in (
         ("bytes_per_run", is_number(plugin.bytes_per_run), "Give a number of bytes."),
         ("smoke_parameters", isinstance(plugin.smoke_parameters, Mapping), "Give values by the parameters' names."),
@@ -375,6 +388,6 @@ def _checked_with_each(
             return [failed_check(plugin.name, error)]
         listed = [each.name for each in plugins]
         own = replace(circumstances, plugins=(*others, built), listed=listed)
-        return asked(built.name, partial(built.check, own))
+        return asked(built.name, partial(built.check, own), plugin=built)
 
     return _with_each(plugin, combinations, look)

@@ -13,13 +13,12 @@ from typing import Any
 from robot_runner.core.config import checks
 from robot_runner.core.config.callback_checks import check_callbacks
 from robot_runner.core.config.claims import check_workers
-from robot_runner.core.config.dead_names import check_dead_names
 from robot_runner.core.config.dialects import load_config
 from robot_runner.core.config.experiment import (
     Experiment,
     event_manager_for,
     experiment_folder,
-    grown_model,
+    extended_model,
     named_inputs,
 )
 from robot_runner.core.config.graph_checks import GraphCheck
@@ -31,6 +30,7 @@ from robot_runner.core.config.parameters import Parameters
 from robot_runner.core.config.plugin_checks import check_plugins, companions, gather_plugins, unbuilt_names
 from robot_runner.core.config.registered_config import check_registration, registered
 from robot_runner.core.config.treatment_makers import maker_findings
+from robot_runner.core.config.unused_names import check_unused_names
 from robot_runner.core.design.batches import as_configured
 from robot_runner.core.design.precision import most_repetitions
 from robot_runner.core.design.run_table_model import RunTableModel
@@ -176,7 +176,8 @@ def prepare(
     events = _subscribe(loaded, plugins, findings)
     columns = measure_columns(loaded, model, plugins, parameters, findings)
     if parameters is not None:
-        findings += [*checks.check_analysis(parameters, complete, columns), *checks.check_threads(loaded, parameters)]
+        findings += checks.check_analysis(parameters, complete, columns)
+        findings += checks.check_run_process(loaded, parameters)
         findings += check_callbacks(loaded, parameters, events)
         findings += check_registration(loaded, model, parameters, columns) if is_for_here else ()
         findings += checks.check_repeat_until(loaded, parameters, model, columns)
@@ -215,7 +216,7 @@ def _grown(
     if parameters is None or model is None:
         return model
     try:
-        return grown_model(model, experiment_folder(parameters, loaded))
+        return extended_model(model, experiment_folder(parameters, loaded))
     except (ConfigError, DesignError) as error:
         findings += error.findings
         return None
@@ -237,7 +238,7 @@ def _name_findings(loaded: LoadedConfig) -> list[Finding]:
     """Return findings on names of a config that are misspelt or unused."""
     refused = checks.check_names(loaded)
     places = {finding.where for finding in refused}
-    dead = [finding for finding in check_dead_names(loaded) if finding.where not in places]
+    dead = [finding for finding in check_unused_names(loaded) if finding.where not in places]
     return [*refused, *dead, *checks.check_neighbours(loaded)]
 
 

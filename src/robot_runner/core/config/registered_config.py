@@ -12,7 +12,7 @@ from typing import Any
 from robot_runner.core.config.loader import LoadedConfig
 from robot_runner.core.config.parameters import Parameters
 from robot_runner.core.design.batches import as_configured, described_design
-from robot_runner.core.design.factor import full_factorial
+from robot_runner.core.design.full_factorial import full_factorial
 from robot_runner.core.design.precision import rules_as_mapping
 from robot_runner.core.design.run_table_model import RunTableModel
 from robot_runner.core.errors import Finding, StorageError

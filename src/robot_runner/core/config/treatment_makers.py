@@ -27,7 +27,7 @@ PREPARED = "prepared"
 
 @dataclass(frozen=True, slots=True)
 class Workshop:
-    """What a maker of treatments may use.
+    """The folder and functions that a maker of treatments may use.
 
     Attributes:
         logs: a folder, not made yet, for logs and for copies of what treatments are made from.

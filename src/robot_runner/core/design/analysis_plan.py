@@ -1,4 +1,4 @@
-"""The analysis plan, fixed before the experiment: measures, estimand, tests, and what is left out."""
+"""The analysis plan, fixed before the experiment: measures, estimand, tests, and exclusions."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Correction(Enum):
 
 
 class Estimand(Enum):
-    """What is estimated of each treatment, and compared.
+    """The quantity that is estimated for each treatment, and compared.
 
     MEAN is what adds up, as for a bill of energy; TRIMMED_MEAN leaves out the fifth at either end (Yuen 1974), for runs
     without blocks; RANK is the probability that a run of one treatment has the larger value (Brunner, Dette and Munk

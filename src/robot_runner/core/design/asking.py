@@ -19,6 +19,9 @@ from robot_runner.core.errors import Finding
 
 #: The kind of the journal's record of runs that were decided on; see `Decision.kind`.
 DECIDED = "decided"
+#: What is decided from the results, in words: by the rules of `repeat_until`, or by a design.
+HOW_OFTEN = "how often it is repeated until it is precise"
+WHICH_RUNS = "which runs follow from the results"
 
 
 class Told(NamedTuple):
@@ -41,7 +44,7 @@ class Told(NamedTuple):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Decision:
-    """What follows: the next runs and why, or nothing more and why.
+    """A decision: the next runs, or none, and the reason.
 
     Attributes:
         name: of the next runs, such as `repetition 4`; their order is drawn from it and the experiment's seed.
@@ -80,7 +83,7 @@ class Asking(Protocol):
         """Return whether more runs may follow these planned ones."""
 
     def ask(self, told: Sequence[Told]) -> Decision:
-        """Return what is executed next; `told` has all runs of the run table so far."""
+        """Return the next runs; `told` has all runs of the run table so far."""
 
 
 @runtime_checkable

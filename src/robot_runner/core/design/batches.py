@@ -17,8 +17,8 @@ from typing import Any
 from robot_runner.core.design.asking import Decision
 from robot_runner.core.design.batch import Batch, BatchRun, plain_treatment
 from robot_runner.core.design.columns import REPETITION, numbered_run_id
+from robot_runner.core.design.extended_design import Begun, ExtendedDesign, typed
 from robot_runner.core.design.factor import Combination, Factor, factor_places, texts_of
-from robot_runner.core.design.growing import Begun, GrownDesign, typed
 from robot_runner.core.design.listed_runs import run_findings
 from robot_runner.core.design.planned_runs import PlannedRun, RunOrder, arranged
 from robot_runner.core.design.run_table_model import RunTable, RunTableModel
@@ -78,7 +78,7 @@ def records_of(batches: Sequence[Batch]) -> Iterator[dict[str, Any]]:
         yield batch.as_mapping() | base
 
 
-def grown_batch(batch: Batch, decision: Decision, planned: Batch, *, is_first: bool) -> tuple[Batch, dict[str, Any]]:
+def extended_batch(batch: Batch, decision: Decision, planned: Batch, *, is_first: bool) -> tuple[Batch, dict[str, Any]]:
     """Return a batch with the runs that were decided on, and the fields of the journal's record of it.
 
     Args:
@@ -215,7 +215,7 @@ def first_batch(begun: Begun, order: RunOrder) -> Batch:
 
 def next_batch(
     begun: Begun,
-    design: GrownDesign,
+    design: ExtendedDesign,
     warm_up: WarmUp | None,
     *,
     order: RunOrder,
@@ -264,7 +264,7 @@ def next_batch(
     )
 
 
-def missing_runs(runs: Iterable[PlannedRun], design: GrownDesign) -> Iterator[tuple[Combination, int]]:
+def missing_runs(runs: Iterable[PlannedRun], design: ExtendedDesign) -> Iterator[tuple[Combination, int]]:
     """Yield each run that is missing, as its combination and repetition, in the order as written."""
     names = [factor.name for factor in design.factors]
     places = factor_places(names)

@@ -1,4 +1,4 @@
-"""Reserved names of run-table columns, and what other columns may be called."""
+"""Names of run-table columns: reserved ones, and checks of others."""
 
 from __future__ import annotations
 

@@ -8,7 +8,8 @@ from itertools import count
 from typing import Any, Final, Protocol, Self, runtime_checkable
 
 from robot_runner.core.design.columns import numbered_run_id
-from robot_runner.core.design.factor import Combination, Factor, factor_places, full_factorial
+from robot_runner.core.design.factor import Combination, Factor, factor_places
+from robot_runner.core.design.full_factorial import full_factorial
 from robot_runner.core.design.planned_runs import PlannedRun
 from robot_runner.core.errors import DesignError, Finding
 
@@ -138,7 +139,7 @@ class FullFactorial:
         return ChosenCombinations([each for each in full_factorial(factors) if is_allowed(each)], self.as_mapping())
 
 
-def grown_choice(
+def extended_choice(
     design: CombinationDesign | Design,
     planned: Iterable[PlannedRun],
     own: Sequence[Factor],

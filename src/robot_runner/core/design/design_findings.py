@@ -11,7 +11,7 @@ from robot_runner.core.design.asking import AdaptiveDesign
 from robot_runner.core.design.columns import REPETITION, WARM_UP, column_name, name_findings
 from robot_runner.core.design.design import CombinationDesign, Design, FullFactorial
 from robot_runner.core.design.factor import Factor, factor_name
-from robot_runner.core.design.factor_conditions import condition_findings
+from robot_runner.core.design.full_factorial import condition_findings
 from robot_runner.core.design.numeric_range import is_whole
 from robot_runner.core.design.warm_up import warm_up_of
 from robot_runner.core.errors import DesignError, Finding, did_you_mean

@@ -8,7 +8,7 @@ from operator import or_
 from typing import Any
 
 from robot_runner.core.design.factor import Combination, Factor
-from robot_runner.core.design.factor_conditions import identified, impossible_treatments
+from robot_runner.core.design.full_factorial import identified, impossible_treatments
 from robot_runner.core.errors import DesignError, Finding, did_you_mean
 
 #: `{"Task": ["Video", "Network"], "Speed": 0.2}` excludes combinations that match in *all* named factors;

@@ -7,12 +7,10 @@ from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from copy import deepcopy
 from dataclasses import dataclass, field
-from itertools import islice, product, repeat
-from math import prod
+from itertools import islice
 from typing import Any
 
 from robot_runner.core.design.columns import name_findings
-from robot_runner.core.design.factor_conditions import identified, impossible_treatments
 from robot_runner.core.design.numeric_range import Range
 from robot_runner.core.design.revision import Revision, is_revision_name
 from robot_runner.core.errors import DesignError, Finding, nearest
@@ -108,7 +106,7 @@ _COMPARED = 1000  # comparing takes some 0.1 ms a treatment
 
 @dataclass(frozen=True, slots=True, init=False)
 class Factor:
-    """What is varied in an experiment, with its treatments in the order in which they are to be executed.
+    """A variable that an experiment manipulates, with its treatments in the order in which they are to be executed.
 
     Attributes:
         name: the column of the run table.
@@ -363,19 +361,3 @@ def factor_name(given: Any) -> Any:
 def factor_places(names: Iterable[str]) -> dict[str, int]:
     """Return the index of each factor's treatment in a combination."""
     return {name: place for place, name in enumerate(names)}
-
-
-def full_factorial(factors: Sequence[Factor]) -> list[Combination]:
-    """Return every combination of the factors' treatments that their conditions allow; the first changes slowest."""
-    places = factor_places(factor.name for factor in factors)
-    every = list(map(Combination, repeat(places), product(*(factor.treatments for factor in factors))))
-    for excluded in identified(factors, impossible_treatments(factors)):
-        every = [each for each in every if not all(id(each[name]) in treatments for name, treatments in excluded)]
-    return every
-
-
-def full_size(factors: Sequence[Factor]) -> int:
-    """Return how many combinations the full factorial has; only factors that conditions tie together are multiplied."""
-    tied = {name for factor in factors if factor.when for name in (factor.name, *factor.when)}
-    free = prod(len(factor.treatments) for factor in factors if factor.name not in tied)
-    return free * (len(full_factorial([each for each in factors if each.name in tied])) if tied else 1)

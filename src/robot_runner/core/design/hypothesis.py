@@ -73,7 +73,7 @@ class Hypothesis:
         return self.contrast is not None or self.within is not None
 
     def treatment_findings(self, treatments: Mapping[str, Sequence[str]]) -> Iterator[Finding]:
-        """Yield what a design's treatments, by factor, leave untested: a contrast of others, or a bound of several.
+        """Yield a problem for each contrast, or bound, that a design's treatments, by factor, leave untested.
 
         Nothing is said of factors whose treatments are not given.
         """
@@ -90,7 +90,7 @@ class Hypothesis:
             yield Finding.warning(where, problem, f"Name two, as in contrast={{{known[0]!r}: 1, {known[-1]!r}: -1}}.")
 
     def as_mapping(self) -> dict[str, Any]:
-        """Return the hypothesis as plain data; what it does not have is left out."""
+        """Return the hypothesis as plain data, without attributes that are None."""
         plain: dict[str, Any] = {
             "statement": self.statement,
             "measure": self.measure,

@@ -16,7 +16,7 @@ _WHERE = "analysis, outliers"
 
 
 class Doubtful(Enum):
-    """What is done with doubtful values.
+    """How the analysis handles doubtful values.
 
     KEEP analyses them with all others, LEAVE_OUT does not; both results are shown either way. REFUSE draws no
     conclusion on a measure that has any.

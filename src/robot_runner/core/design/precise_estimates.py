@@ -12,8 +12,8 @@ from typing import Any
 
 from robot_runner.core.design.asking import Decision, Told
 from robot_runner.core.design.batches import REPEATED, missing_runs
+from robot_runner.core.design.extended_design import ExtendedDesign
 from robot_runner.core.design.factor import Combination, Factor, texts_of
-from robot_runner.core.design.growing import GrownDesign
 from robot_runner.core.design.numeric_range import is_number
 from robot_runner.core.design.planned_runs import PlannedRun
 from robot_runner.core.design.precision import PreciseOf, Precision, most_repetitions
@@ -119,7 +119,7 @@ class Judgement:
 
     @property
     def widest(self) -> Known | None:
-        """The least precise one, relative to what is wanted; None where no half width is known."""
+        """The least precise one, relative to its goal; None where no half width is known."""
         told = [each for each in self.known if each.half_width is not None and each.wanted]
         return max(told, key=lambda each: each.half_width / each.wanted, default=None)  # type: ignore[operator]
 
@@ -282,7 +282,7 @@ class UntilPrecise:
 
     def _next(self, runs: Sequence[PlannedRun], repetitions: int) -> Iterator[tuple[Combination, int]]:
         combinations = {run.combination.texts: run.combination for run in runs}
-        design = GrownDesign(tuple(self._factors), list(combinations.values()), repetitions, {}, {})
+        design = ExtendedDesign(tuple(self._factors), list(combinations.values()), repetitions, {}, {})
         return missing_runs(runs, design)
 
 

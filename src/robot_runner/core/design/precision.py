@@ -25,7 +25,7 @@ _PERCENT = "%"
 
 
 class PreciseOf(Enum):
-    """What is to be known precisely.
+    """The quantity that is to be known precisely.
 
     MEANS are those of each combination; DIFFERENCES are those between any two treatments of a factor, within
     repetitions.
@@ -76,7 +76,7 @@ class Precision:
             object.__setattr__(self, name, value)
 
     def __str__(self) -> str:
-        """Return in words what is wanted."""
+        """Return the goal in words."""
         what = (
             f"the mean of {self.measure} in each combination"
             if self.of is PreciseOf.MEANS
@@ -124,7 +124,7 @@ def rules_as_mapping(rules: Sequence[Precision], least: int) -> dict[str, Any] |
 
 
 def rules_of_mapping(plain: object) -> tuple[tuple[Precision, ...], int]:
-    """Return what `rules_as_mapping` made plain: the rules, and how often combinations are executed at least.
+    """Return the inverse of `rules_as_mapping`: the rules, and the least number of repetitions.
 
     Raises:
         DesignError: the data is damaged.

@@ -16,11 +16,12 @@ from robot_runner.core.design.design import (
     Design,
     DesignedRuns,
     FullFactorial,
-    grown_choice,
+    extended_choice,
 )
 from robot_runner.core.design.design_findings import design_findings, order_findings, size_findings
 from robot_runner.core.design.exclusions import Allowed, Exclusion, Exclusions, apply_exclusions
-from robot_runner.core.design.factor import Combination, Factor, full_factorial
+from robot_runner.core.design.factor import Combination, Factor
+from robot_runner.core.design.full_factorial import full_factorial
 from robot_runner.core.design.planned_runs import PlannedRun, RunOrder, garbage_collection_paused, planned_runs
 from robot_runner.core.design.warm_up import WarmUp, warm_up_of, with_warm_ups
 from robot_runner.core.errors import DesignError, Finding
@@ -169,7 +170,7 @@ class RunTableModel:
 
     @property
     def blocks(self) -> str | None:
-        """The name of what makes blocks: `Repetition`, a factor, or None."""
+        """The column whose values are the blocks: `Repetition`, a factor, or None."""
         return self._order.blocks
 
     def _choose(self) -> None:
@@ -195,7 +196,7 @@ class RunTableModel:
             DesignError: an exclusion does not fit these factors, or the design cannot grow.
         """
         if not self.is_full_factorial:
-            return grown_choice(self.design, self.plan(), self.factors, factors, self.allowed_of)
+            return extended_choice(self.design, self.plan(), self.factors, factors, self.allowed_of)
         exclusions = _applied(factors, self._exclusions)
         if exclusions is None:
             return full_factorial(factors)
@@ -310,7 +311,7 @@ class RunTableModel:
 
     def _arranged(self, order: RunOrder) -> Sequence[PlannedRun]:
         if isinstance(self.design, CombinationDesign):
-            runs = planned_runs(self._combinations, self.repetitions, self._block_of(order.blocks), order)
+            runs = planned_runs(self._chosen.combinations, self.repetitions, self._block_of(order.blocks), order)
             designed = DesignedRuns(runs, self._chosen.facts)
         else:
             designed = self.design.runs(self.factors, self.allowed, self.repetitions, order.seed, order.shuffle)
@@ -324,10 +325,6 @@ class RunTableModel:
             kept = full_factorial(self.factors) if self._kept is None else self._kept
             return ChosenCombinations(kept, self.design_facts)
         return self.design.choose(self.factors, self.allowed)
-
-    @property
-    def _combinations(self) -> list[Combination]:
-        return self._chosen.combinations
 
     @property
     def allowed(self) -> Allowed:
@@ -347,12 +344,12 @@ class RunTableModel:
         if blocks is None:
             return None
         if blocks == REPETITION and self.repetitions > 1:
-            return [number for number in range(self.repetitions) for _ in self._combinations]
+            return [number for number in range(self.repetitions) for _ in self._chosen.combinations]
         factor = next(factor for factor in self.factors if factor.name == blocks)
-        present = {id(combination[blocks]) for combination in self._combinations}  # the factor's own objects
+        present = {id(combination[blocks]) for combination in self._chosen.combinations}  # the factor's own objects
         left = [id(treatment) for treatment in factor.treatments if id(treatment) in present]
         number_of = {treatment: number for number, treatment in enumerate(left)}
-        return [number_of[id(combination[blocks])] for combination in self._combinations] * self.repetitions
+        return [number_of[id(combination[blocks])] for combination in self._chosen.combinations] * self.repetitions
 
 
 def _as_tuple(factors: Any) -> Any:

@@ -70,6 +70,10 @@ class WarmUp:
             return (id(run.combination[self.per]),)  # the factor's own object
         return tuple(map(id, run.combination.treatments))
 
+    def group(self, run: PlannedRun) -> tuple[int, ...]:
+        """Return the key by which runs share a warm-up, over all batches."""
+        return (run.batch, *self.key(run))
+
 
 def warm_up_of(given: object) -> WarmUp | None:
     """Return the warm-up of a design, given as such, or as the number of runs at the start.
@@ -114,15 +118,15 @@ def with_warm_ups(runs: Sequence[PlannedRun], warm_up: WarmUp | None, *, first: 
 def with_warm_ups_again(
     runs: Sequence[PlannedRun], selected: Sequence[int], done: Iterable[int], warm_up: WarmUp
 ) -> list[int]:
-    """Return the indices of runs to execute, with those of warm-up runs that are done and are executed again."""
+    """Return the indices of runs to execute, with warm-up runs of `done` before the first run that they are for."""
     again: dict[tuple[int, ...], list[int]] = {}
     for place in set(done).difference(selected):
         if runs[place].is_warm_up:
-            again.setdefault((runs[place].batch, *warm_up.key(runs[place])), []).append(place)
+            again.setdefault(warm_up.group(runs[place]), []).append(place)
     ordered: list[int] = []
     for place in selected:
         if not runs[place].is_warm_up:
-            ordered += sorted(again.pop((runs[place].batch, *warm_up.key(runs[place])), ()))
+            ordered += sorted(again.pop(warm_up.group(runs[place]), ()))
         ordered.append(place)
     return ordered
 

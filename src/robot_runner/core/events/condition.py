@@ -1,4 +1,4 @@
-"""Conditions: what a callback or a gate can await, and a guard can watch."""
+"""Conditions, for callbacks and gates to await, and for guards to watch."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _TOLD_EVERY = 0.5
 
 @dataclass(frozen=True, slots=True)
 class Look:
-    """What one look at a condition showed.
+    """The result of one look at a condition.
 
     Attributes:
         holds: whether the condition holds now.
@@ -76,7 +76,7 @@ class Condition(ABC):
 
     @abstractmethod
     def __str__(self) -> str:
-        """Return what is to hold, so that it completes the sentence "waiting until ...": `port 8080 is open`."""
+        """Return the condition in words that complete the sentence "waiting until ...": `port 8080 is open`."""
 
     @abstractmethod
     def watch(self, context: RobotRunnerContext, opened: ExitStack) -> LookAgain:
@@ -122,7 +122,7 @@ class Condition(ABC):
         return HeldFor(self, seconds)
 
     def wait(self, context: RobotRunnerContext, *, timeout_s: float) -> Look:
-        """Wait until the condition holds, and record how long that took and what was seen.
+        """Wait until the condition holds, and record how long that took and the last look.
 
         Args:
             context: of the run; the wait sleeps on its clock, unless the condition `is_outside`.
@@ -184,7 +184,7 @@ class HeldFor(Condition):
         return (self.condition,)
 
     def check(self, robot: str | None) -> Iterable[Finding]:
-        """Return what the other condition finds."""
+        """Return the findings of the other condition."""
         return self.condition.check(robot)
 
     def clock(self, context: RobotRunnerContext) -> Clock:

@@ -290,11 +290,11 @@ class RobotRunnerContext(ExperimentContext):
         self.broker.share(self.owner, values)
 
     def warn(self, problem: str, *, fix: str = "") -> None:
-        """Say that something about this run is doubtful; it is shown at the end and kept with the run."""
+        """Record a warning about this run; it is shown at the end and kept with the run."""
         self.broker.warn(self.owner, problem, fix)
 
     def doubt(self, problem: str, *, fix: str = "", measures: Sequence[str] = ()) -> None:
-        """Say that values of this run are doubtful, or missing, and why: a warning that is kept with each of them.
+        """Record why values of this run are doubtful, or missing: a warning that is kept with each of them.
 
         Args:
             problem: the reason, with figures.

@@ -25,7 +25,7 @@ class MissionStopped(RunInterrupted):
 
 
 class Ending(Protocol):
-    """What ends a run, or its mission, from any of its threads."""
+    """Ends a run, or its mission, from any of its threads."""
 
     @property
     def has_failed(self) -> bool:

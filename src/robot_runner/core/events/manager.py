@@ -17,7 +17,7 @@ from typing import Any, NoReturn
 
 from robot_runner.core.errors import ConfigError, did_you_mean
 from robot_runner.core.late_annotations import signature_of
-from robot_runner.core.vain_parameters import parameters_guarded
+from robot_runner.core.treatments import parameters_guarded
 
 # The events of an experiment and their order (paper, Fig. 2): the one table that says which process each is emitted in.
 
@@ -129,21 +129,16 @@ class Subscriber:
         return returned
 
 
-@dataclass(frozen=True, slots=True)
-class RequestedSubscription:
-    """A subscription that a config has made through the `EventSubscriptionController`."""
+#: An event and its callback, as a config subscribes it through the `EventSubscriptionController`.
+Subscription = tuple[RobotRunnerEvents, Callback]
 
-    event: RobotRunnerEvents
-    callback: Callback
-
-
-_requested: ContextVar[list[RequestedSubscription] | None] = ContextVar("requested", default=None)
+_requested: ContextVar[list[Subscription] | None] = ContextVar("requested", default=None)
 
 
 @contextmanager
-def recorded_subscriptions() -> Iterator[list[RequestedSubscription]]:
+def recorded_subscriptions() -> Iterator[list[Subscription]]:
     """Record what is subscribed through the `EventSubscriptionController` while a config is loaded."""
-    requests: list[RequestedSubscription] = []
+    requests: list[Subscription] = []
     token = _requested.set(requests)
     try:
         yield requests
@@ -173,10 +168,10 @@ class EventSubscriptionController:
                 fix="Subscribe in the config's __init__ and start it with `robot-runner run`.",
             )
         checked_subscriber(event, callback, owner="config", kind=OwnerKind.CONFIG)
-        requests.append(RequestedSubscription(event, callback))
+        requests.append((event, callback))
 
     @classmethod
-    def subscribe_to_multiple_events(cls, subscriptions: Iterable[tuple[RobotRunnerEvents, Callback]]) -> None:
+    def subscribe_to_multiple_events(cls, subscriptions: Iterable[Subscription]) -> None:
         """Subscribe several callbacks, each given as `(event, callback)`.
 
         Raises:

@@ -282,6 +282,11 @@ class MeasureColumns:
         """The names of the run table's measure columns, in order."""
         return tuple(column.name for column in self.in_table)
 
+    @property
+    def doubtful_with_run(self) -> list[str]:
+        """The names of all columns whose values are doubtful where their run is: all but the robot's name."""
+        return [column.name for column in self.declared if column.owner != ROBOTS_OWNER]
+
     def with_quality(self) -> MeasureColumns:
         """Return the same columns, with a quality column behind each measure of the run table."""
         described = "Whether the value of {} is good, doubtful or missing, and why."

@@ -19,7 +19,7 @@ _LONGEST_TOLD = 40
 
 
 class MeasureBroker:
-    """Checks what is published in one run against what was declared, and reports it at once. Threads may use it.
+    """Checks the measures published in one run against the declared ones, and reports each at once. Thread-safe.
 
     Args:
         run_id: of the run.
@@ -52,7 +52,7 @@ class MeasureBroker:
 
     @property
     def measures(self) -> Mapping[str, measure.PublishedMeasure]:
-        """What was published so far, by column of the run table."""
+        """The measures published so far, by column of the run table."""
         return self._measures
 
     @property
@@ -142,7 +142,7 @@ class MeasureBroker:
 
     def doubt_run(self, owner: str, problem: str, fix: str) -> None:
         """Record a warning finding that makes all values of this run doubtful, whoever publishes them."""
-        self._record_finding(owner, problem, fix, {"measures": [column.name for column in self._columns.declared]})
+        self._record_finding(owner, problem, fix, {"measures": self._columns.doubtful_with_run})
 
     def _record_finding(self, owner: str, problem: str, fix: str, more: dict[str, Any]) -> None:
         problem, fix = str(problem), str(fix or "")  # an exception that a callback passes on is a text in the journal

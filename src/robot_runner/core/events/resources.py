@@ -17,7 +17,7 @@ class Closable(Protocol):
     """Anything that is closed once it is no longer needed."""
 
     def close(self) -> None:
-        """Release what is held."""
+        """Release the resource."""
 
 
 @runtime_checkable
@@ -51,7 +51,7 @@ class Resources:
         self._lock = threading.RLock()  # missions that go on together may open something at the same time
 
     def open(self, key: str, opener: Callable[[], R]) -> R:
-        """Return what was opened under `key`, opening it first if it was not; it is closed with the run."""
+        """Return the resource under `key`, opened if it was not; it is closed with the run."""
         with self._lock:
             if key not in self._opened:
                 opened = opener()
@@ -61,7 +61,7 @@ class Resources:
             return cast("R", self._opened[key])
 
     def close(self) -> None:
-        """Halt what may move, then close everything in reverse order; errors are raised once all of it is closed."""
+        """Halt what is `Halting`, then close all in reverse order; errors are raised once all are closed."""
         for each in self._opened.values():
             if isinstance(each, Halting):
                 self._closing.callback(each.halt)
@@ -87,7 +87,7 @@ def opened_here() -> Iterator[Resources]:
 
 @contextmanager
 def closing_left_open() -> Iterator[None]:
-    """Close what was opened within this block by `opened_here` and was left open; an error is raised once all are."""
+    """Close resources of `opened_here` that are still open at the end of this block; errors are raised at the end."""
     before = set(_opened_here)
     try:
         yield

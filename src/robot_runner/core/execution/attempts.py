@@ -1,16 +1,15 @@
-"""One run at its place: what comes before it, its attempts, and the record of each, step by step."""
+"""One run at its place: its preparation, its attempts, and the record of each, step by step."""
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import closing
 from dataclasses import replace
 from typing import Any
 
 from robot_runner.core.config.gate_parameters import GuardAction
 from robot_runner.core.config.parameters import FailurePolicy
-from robot_runner.core.design.design import HeldOrder
 from robot_runner.core.errors import Finding, PluginError
 from robot_runner.core.events.manager import RobotRunnerEvents
 from robot_runner.core.events.measure import ROBOT, ROBOTS_OWNER, Origin
@@ -25,8 +24,8 @@ from robot_runner.core.execution.notices import (
 )
 from robot_runner.core.execution.operator import Operator
 from robot_runner.core.execution.orchestrator_events import OngoingExperiment
-from robot_runner.core.execution.patience import Steps
 from robot_runner.core.execution.places import Place, Watch
+from robot_runner.core.execution.poll_loop import Steps
 from robot_runner.core.execution.run_records import failure_fields
 from robot_runner.core.execution.task import AttemptStatus, OutcomeBuilder, PendingRun, Report, RunOutcome, RunTask
 from robot_runner.core.links.commanded_topics import MAY_BE_MOVING, MOVING_ROBOT
@@ -46,11 +45,6 @@ class Attempts:
         self._gates = Gates(ongoing)
         self._lost: Counter[str] = Counter()
         self._left: dict[str, int] = {}
-
-    @property
-    def held(self) -> HeldOrder:
-        """What the design holds of the order of runs."""
-        return self._between_runs.held
 
     def execute(
         self, run: PendingRun, place: Place, finished: PendingRun | None, *, is_cleared: bool
@@ -77,7 +71,7 @@ class Attempts:
             passage = yield from self._pass_gates(run, place)
             if ongoing.is_ending or self._is_stopped_by(passage.stop, run):
                 return outcome
-            self._find(self._ongoing.clock.look(run.run_id))
+            self._progress.find(*self._ongoing.clock.look(run.run_id))
             task = replace(self._progress.begin(run, name, place.slot), attempts_left=attempts_left)
             ongoing.notify(AttemptStarted(task, self._progress.time_left))
             outcome = yield from self._attempt(task, place, passage)
@@ -91,7 +85,7 @@ class Attempts:
         return outcome
 
     def _pass_gates(self, run: PendingRun, place: Place) -> Steps[Passage]:
-        """Await the gates; once more after a pause that was asked for meanwhile, as they are about the run's start."""
+        """Await the gates; again after a pause that was requested meanwhile, as they are about the run's start."""
         while not self._ongoing.is_ending:
             passage = yield from self._gates.pass_before(run, place.experiment)
             if passage.stop or not (yield from self._between_runs.pause_where_requested(run)):
@@ -103,7 +97,7 @@ class Attempts:
         return self._operator.ask_about_earlier()
 
     def _keep(self, task: RunTask, outcome: RunOutcome, to_ask: Sequence[str]) -> bool:
-        """Record how an attempt went and what is asked after it; return whether no other follows at this place."""
+        """Record the outcome of an attempt and the answers after it; return whether it was the last at this place."""
         is_last = outcome.status is not AttemptStatus.FAILED or bool(self._ongoing.stopped_by)
         if outcome.is_lost and not is_last:
             # Once `attempts_if_lost` is used up, a lost attempt counts as one of `attempts`.
@@ -113,7 +107,7 @@ class Attempts:
                 self._left[task.run_id] = left
         is_to_do = task.run_id in self._left
         is_last = is_last or (task.attempts_left == 0 and not is_to_do)
-        self._find(self._ongoing.clock.look(task.run_id, outcome.findings))
+        self._progress.find(*self._ongoing.clock.look(task.run_id, outcome.findings))
         to_ask = to_ask if outcome.status is AttemptStatus.DONE else ()
         noticed = self._progress.record_outcome(task, outcome, is_last=is_last, to_ask=to_ask)
         self._ongoing.notify(AttemptFinished(task, outcome, is_last, self._progress.time_left))
@@ -121,18 +115,9 @@ class Attempts:
             self._ongoing.notify(FindingsNoticed(noticed))
         return is_last or is_to_do
 
-    def _find(self, findings: Iterable[Finding]) -> None:
-        for each in findings:
-            self._progress.find(each)
-
     def is_to_do_elsewhere(self, run: PendingRun) -> bool:
         """Whether the last attempt at a run was lost with its place, and another one is to be made."""
         return run.run_id in self._left
-
-    def tell_of_place(self, problem: str) -> None:
-        """Record and show that a place was added, or is gone."""
-        self._progress.note("place", problem=problem)
-        self._ongoing.find(Finding.warning("places", problem))
 
     def _is_stopped_by(self, reason: str, run: PendingRun) -> bool:
         """Stop the experiment where there is a reason to; the run that it was about to execute is still to do."""
@@ -173,7 +158,7 @@ class Attempts:
             robot = {"name": ROBOT, "value": place.name, "owner": ROBOTS_OWNER, "origin": Origin.MEASURED.value}
             task.measures[ROBOT] = robot
             report_own("measure", robot)
-        passage.report_to(report_own, [column.name for column in columns.declared])
+        passage.report_to(report_own, columns.doubtful_with_run)
         self._bind_plugins(task, report_own)
         if not builder.has_failed:
             ongoing.events.emit_to_run(RobotRunnerEvents.BEFORE_RUN, task, report_own, place.experiment)
@@ -181,9 +166,9 @@ class Attempts:
             is_over = True
             return builder.outcome(interrupted=ongoing.is_interrupted)
         watch = Watch(
-            interruption=ongoing.patience.interruption,
+            interruption=ongoing.poll_loop.interruption,
             report=report,
-            refresh=ongoing.patience.refresh_screen,
+            refresh=ongoing.poll_loop.refresh_screen,
             noticed_interruption=lambda: ongoing.notify(InterruptionNoticed(task.run_id)),
         )
         with closing(place.begin(task, builder, watch)) as run:
@@ -193,7 +178,7 @@ class Attempts:
         return outcome
 
     def _bind_plugins(self, task: RunTask, report: Report) -> None:
-        """Build plugins with bound parameters with the treatments of a run; what they raise fails the run."""
+        """Build plugins with the run's treatments for their bound parameters; an exception in one fails the run."""
         for plugin in self._ongoing.experiment.plugins:
             values = values_of(plugin, task.combination)
             if not values:
@@ -209,7 +194,7 @@ class Attempts:
 
 def _told_too_late(task: RunTask, kind: str, fields: Mapping[str, Any]) -> PluginError:
     """Return the error for a thread of this process that publishes after its run has ended."""
-    what = f"measure {fields['name']!r}" if kind == "measure" else fields.get("problem") or f"what is told ({kind})"
+    what = f"measure {fields['name']!r}" if kind == "measure" else fields.get("problem") or f"a record of kind {kind!r}"
     problem = f"{task.run_id} has ended, and this is lost: {what}"
     fix = "Publish in populate_run_data at the latest, and end the thread in stop_run, or in after_experiment."
     return PluginError(problem, where=str(fields.get("owner", "")), fix=fix)

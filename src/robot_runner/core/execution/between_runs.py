@@ -17,13 +17,13 @@ from robot_runner.core.design.planned_runs import PlannedRun
 from robot_runner.core.errors import CommandError, ExecutionError, Finding, LinkError
 from robot_runner.core.events.context import RobotRunnerContext
 from robot_runner.core.events.measure import CONFIG_OWNER
-from robot_runner.core.execution.aside import executed_aside
-from robot_runner.core.execution.notices import FindingsNoticed, HostRestarts, Paused
+from robot_runner.core.execution.notices import FindingsNoticed, HostRestarts, OutcomeAmended, Paused
 from robot_runner.core.execution.operator import Operator
 from robot_runner.core.execution.orchestrator_events import OngoingExperiment
-from robot_runner.core.execution.patience import Pause, Steps, UntilEnding
 from robot_runner.core.execution.places import Place, Watch
+from robot_runner.core.execution.poll_loop import Pause, Steps, UntilEnding
 from robot_runner.core.execution.task import AttemptStatus, PendingRun, RunTask
+from robot_runner.core.execution.work_beside_runs import executed_beside_runs
 from robot_runner.core.links.connect import is_simulated
 from robot_runner.core.links.declared_host import Host, Reboot
 from robot_runner.core.links.host_commands import HostCommands, Shell, opened_host
@@ -50,29 +50,24 @@ _BOOT = "cat /proc/sys/kernel/random/boot_id"
 
 
 class BetweenRuns:
-    """What happens between the end of a run and the beginning of the next.
-
-    Attributes:
-        held: what the design holds of the order of runs.
-    """
+    """The steps between the end of a run and the beginning of the next."""
 
     def __init__(self, ongoing: OngoingExperiment, operator: Operator) -> None:
-        model = ongoing.experiment.model
         self._ongoing = ongoing
         self._operator = operator
         self._parameters = ongoing.experiment.parameters
         self._is_paused = False
-        self.held = HeldOrder.of_facts(model.design_facts)
+        self._held = HeldOrder.of_facts(ongoing.experiment.model.design_facts)
         self._last_of_unit: dict[str, Mapping[str, Any]] = {}
         journal = ongoing.experiment.folder.journal
-        for record in read_journal(journal, kinds={"attempt_started"}) if self.held.rest_in_s else ():
+        for record in read_journal(journal, kinds={"attempt_started"}) if self._held.rest_in_s else ():
             self._rest_before(record.get("combination") or {})
         self._reboots = _Reboots(ongoing)
 
     def prepare(
         self, run: PendingRun, finished: PendingRun | None, place: Place, name: str, *, is_cleared: bool = False
     ) -> Steps[None]:
-        """Do what comes before a run: pause, operator's steps, the question of SEMI mode, rest, reboots.
+        """Take the steps before a run: pause, operator's steps, the question of SEMI mode, rest, reboots.
 
         In SEMI mode the user is not asked where a callback or a step of the operator has just asked.
 
@@ -92,6 +87,7 @@ class BetweenRuns:
                 name,
                 place.experiment,
             )
+            self._ongoing.notify(OutcomeAmended(finished.run_id, self._ongoing.progress.last_outcome(name)))
         has_asked = yield from self._operator.prepare(run, name)
         if self._is_semi and not (is_cleared or has_asked or self._ongoing.is_ending):
             yield from self._operator.ask_to_start(run, name)
@@ -105,19 +101,19 @@ class BetweenRuns:
 
     def _rest_before(self, combination: Mapping[str, Any]) -> float:
         """Return how long the unit of a run rests before it, s, and note that it has this run then."""
-        unit = str(combination.get(self.held.one_by_one))
+        unit = str(combination.get(self._held.one_by_one))
         last, self._last_of_unit[unit] = self._last_of_unit.get(unit), combination
-        return self.held.rest_before(combination, last)
+        return self._held.rest_before(combination, last)
 
     def prepare_again(self, run: PendingRun, name: str) -> Steps[None]:
-        """Do what comes before another attempt at a run: pause, operator's steps, the question of SEMI mode."""
+        """Take the steps before another attempt at a run: pause, operator's steps, the question of SEMI mode."""
         yield from self.pause_where_requested(run)
         has_asked = yield from self._operator.prepare(run, name, is_retry=True)
         if self._is_semi and not (has_asked or self._ongoing.is_ending):
             yield from self._operator.ask_to_start(run, name)
 
     def pause_where_requested(self, run: PendingRun) -> Steps[bool]:
-        """Wait, where `robot-runner pause` asked for it, until the request is taken back or the user interrupts.
+        """Wait, if `robot-runner pause` has requested it, until the request is taken back or the user interrupts.
 
         Returns whether anything was awaited.
 
@@ -219,11 +215,11 @@ class _Reboots:
 
         started = time.monotonic()
         robot = self._experiment.parameters.robot
-        outcome = yield from executed_aside(
+        outcome = yield from executed_beside_runs(
             self._experiment,
             replace(task, run_id=_RUN),
             launch_mission,
-            Watch(self._ongoing.patience.interruption, report),
+            Watch(self._ongoing.poll_loop.interruption, report),
             deadline_s=2 * host.back_within_s + _PATIENCE,
             robot=None if is_simulated(robot) else robot,  # hosts live by this machine's clock
         )

@@ -59,7 +59,7 @@ class ClockJumps:
         return _real(_ahead().can_be_set - self._before.can_be_set)
 
     def taken_setting(self) -> float:
-        """Return by how much the clock of time stamps was set since this was asked last, s.
+        """Return by how much the clock of time stamps was set since the last call, s.
 
         Smaller differences are dropped: where this clock alone is slewed (macOS), they would add up over hours.
         """

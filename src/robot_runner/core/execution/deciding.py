@@ -1,4 +1,4 @@
-"""What is executed next, once all that was planned is done: the question, the answer, and its runs in the plan.
+"""Deciding from the results, once all planned runs are done, which runs follow; and adding them to the plan.
 
 An answer is in the journal, run by run, before any run of it is begun, so that an experiment that was killed goes on
 with the same plan; where the kill came before, the same is asked again, and answered in the same way.
@@ -12,19 +12,19 @@ from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 from robot_runner.core.config.experiment import Experiment
-from robot_runner.core.design.asking import AdaptiveDesign, Asking, Decision, Told
+from robot_runner.core.design.asking import HOW_OFTEN, WHICH_RUNS, AdaptiveDesign, Asking, Decision, Told
 from robot_runner.core.design.batches import (
     EXTENDED,
     GrownRunTableModel,
     as_configured,
+    extended_batch,
     first_batch,
-    grown_batch,
     next_batch,
     records_of,
 )
 from robot_runner.core.design.columns import WARM_UP
+from robot_runner.core.design.extended_design import Begun, ExtendedDesign
 from robot_runner.core.design.factor import Factor
-from robot_runner.core.design.growing import Begun, GrownDesign
 from robot_runner.core.design.outliers import Doubtful
 from robot_runner.core.design.planned_runs import PlannedRun, RunOrder
 from robot_runner.core.design.precise_estimates import UntilPrecise
@@ -68,12 +68,12 @@ class Bookkeeper(Protocol):
     def note(self, kind: str, *, flush: bool = False, **fields: Any) -> None:
         """Append a record to the journal."""
 
-    def find(self, finding: Finding) -> None:
-        """Keep a finding for the end of the experiment."""
+    def find(self, *findings: Finding) -> None:
+        """Keep findings for the end of the experiment."""
 
 
 def asking_of(model: RunTableModel, rules: Sequence[Precision]) -> Asking | None:
-    """Return what decides which runs follow from results: the design, or the rules of `repeat_until`; else None."""
+    """Return the design, or the rules of `repeat_until`, that decide from results which runs follow; else None."""
     config = as_configured(model)
     if isinstance(config.design, AdaptiveDesign):
         return config.design.asking(config.factors, config.allowed, config.repetitions)
@@ -82,11 +82,10 @@ def asking_of(model: RunTableModel, rules: Sequence[Precision]) -> Asking | None
 
 
 def what_follows(asking: Asking | None, runs: Sequence[PlannedRun]) -> str:
-    """Return what may follow these runs, in words; empty where nothing does."""
+    """Return in words which runs may follow these; empty where none does."""
     if asking is None or not asking.may_add(runs):
         return ""
-    is_repeated = isinstance(asking, UntilPrecise)
-    return "how often it is repeated until it is precise" if is_repeated else "which runs follow from the results"
+    return HOW_OFTEN if isinstance(asking, UntilPrecise) else WHICH_RUNS
 
 
 class Deciding:
@@ -107,11 +106,11 @@ class Deciding:
         self._asks = None if is_by_hand else asking
 
     def follows(self, rows: RunTableRows) -> str:
-        """Return what may follow the runs of this table, in words; empty where nothing does."""
+        """Return in words which runs may follow those of this table; empty where none does."""
         return what_follows(self._asks, list(rows.planned))
 
-    def decide(self, progress: Bookkeeper, table: RecoveredTable) -> NextDecided | None:
-        """Add the runs that follow, or record why none does.
+    def decide(self, progress: Bookkeeper, table: RecoveredTable, *, is_of_part: bool = False) -> NextDecided | None:
+        """Add the runs that follow, or record why none does; where only a part was chosen, tell that others may follow.
 
         Returns:
             what was decided and why; None where nothing is to be decided.
@@ -123,11 +122,15 @@ class Deciding:
             )
         if self._asks is None:
             return None
+        if is_of_part:
+            if follows := self.follows(table.rows):
+                fix = "Start the experiment without them: it decides, and goes on where runs follow."
+                progress.find(Finding.warning("--only and --skip", f"it is not decided {follows}", fix))
+            return None
         decision = self._asks.ask(list(self._told(self._asks.measures, table)))
         if not decision.runs:
             progress.note("judged", **decision.facts)
-            for finding in decision.warnings(self._where):
-                progress.find(finding)
+            progress.find(*decision.warnings(self._where))
             return NextDecided(decision.in_words, len(table.rows))
         growth = self._grown(table.rows, decision)
         progress.grow(growth)
@@ -160,7 +163,7 @@ class Deciding:
         )
         batches = self._model.batches or (first_batch(begun, self._order(self._seed)),)
         repetitions = max(batches[-1].repetitions, *(repetition for _, repetition in decision.runs))
-        design = GrownDesign(begun.factors, [], repetitions, {}, {})
+        design = ExtendedDesign(begun.factors, [], repetitions, {}, {})
         order = self._order(seed_of_run(self._seed, decision.name), decision.blocks)
         number, at = (batches[-1].number + 1, utc_now()) if decision.confirms else (batches[-1].number, "")
         planned = next_batch(begun, design, None, order=order, number=number, at=at, wanted=decision.runs)
@@ -170,7 +173,7 @@ class Deciding:
             *_, record = records_of(batches)
         else:
             kind = decision.kind
-            grown, record = grown_batch(batches[-1], decision, planned, is_first=is_first)
+            grown, record = extended_batch(batches[-1], decision, planned, is_first=is_first)
             batches = (*batches[:-1], grown)
         self._model = GrownRunTableModel(self._config, batches)
         new = {run.run_id for run in planned.runs}

@@ -1,4 +1,4 @@
-"""How long an experiment takes: from what plugins know beforehand, and from the runs that have ended."""
+"""How long an experiment takes: from the durations that plugins declare, and from the runs that have ended."""
 
 from __future__ import annotations
 
@@ -12,13 +12,12 @@ from typing import Any
 
 from robot_runner.core.config.parameters import OperationType, Parameters
 from robot_runner.core.events.manager import EventManager
-from robot_runner.core.execution.mission_knowledge import (
+from robot_runner.core.execution.known_durations import (
     CombinationKey,
-    MissionKnowledge,
-    SeenRuns,
+    DeclaredDurations,
+    ObservedDurations,
     combination_key,
-    said_of_all,
-    told_apart,
+    distinct_combinations,
 )
 from robot_runner.core.execution.task import AttemptStatus
 from robot_runner.core.links.declared_host import Reboot
@@ -84,7 +83,7 @@ class TimeLeft:
 
     @classmethod
     def of_facts(cls, facts: object) -> TimeLeft | None:
-        """Return what `facts` told; None for anything else."""
+        """Return the time that `facts` stand for; None for anything else."""
         try:
             return cls(float(facts["run"]), float(facts["others"]), bool(facts["is_least"]))  # type: ignore[index]
         except (TypeError, ValueError, LookupError):
@@ -104,14 +103,14 @@ def _about(seconds: float, *, is_least: bool) -> str:
 
 
 class Durations:
-    """Estimates how long runs and the pauses between them take, from what plugins say and from runs that have ended.
+    """Estimates how long runs and the pauses between them take, from declared durations and runs that have ended.
 
     A run counts from its beginning to the end of its last attempt, and a pause from there to the beginning of the
-    next run: rest, operator, gates and all. Failed runs count only while none is done. What runs took beyond what
-    plugins said of them is expected of other runs, too.
+    next run: rest, operator, gates and all. Failed runs count only while none is done. What runs took beyond their
+    declared duration is expected of other runs, too.
 
     Args:
-        knowledge: what plugins and config say.
+        declared: by plugins and config.
         combinations: of all runs; plugins are asked once about each.
         rest_s: how long the robot rests between two runs, s.
         waits: what else comes between two runs, in words; it is of unknown duration until the first pause.
@@ -130,19 +129,19 @@ class Durations:
 
     def __init__(
         self,
-        knowledge: MissionKnowledge | None = None,
+        declared: DeclaredDurations | None = None,
         combinations: Iterable[Mapping[str, Any]] = (),
         *,
         rest_s: float = 0.0,
         waits: Sequence[str] = (),
     ) -> None:
-        self.knowledge = knowledge or MissionKnowledge()
+        self.declared = declared or DeclaredDurations()
         self._rest = rest_s
         self._waits = tuple(waits)
-        found = told_apart(combinations)
+        found = distinct_combinations(combinations)
         self._are_alike = len(found) > _MOST_COMBINATIONS
-        self._said = {} if self._are_alike else said_of_all(self.knowledge, [each for each, _ in found])
-        self._done, self._failed = SeenRuns(), SeenRuns()
+        self._declared_s = {} if self._are_alike else self.declared.of_all(each for each, _ in found)
+        self._done, self._failed = ObservedDurations(), ObservedDurations()
         self._pauses: deque[float] = deque(maxlen=_PAUSES)
         self._current: dict[str, tuple[CombinationKey, float, str]] = {}
         self._ended: dict[str, float] = {}
@@ -156,7 +155,7 @@ class Durations:
         self._computed = self._cost = 0.0
 
     def learn_from(self, journal: Path) -> None:
-        """Learn from the last runs that a journal tells of.
+        """Learn from the last runs in a journal.
 
         Raises:
             StorageError: it cannot be read.
@@ -185,7 +184,7 @@ class Durations:
         self._left = Counter()
         if self._are_alike:
             self._left[frozenset()] = sum(1 for _ in combinations)
-        for combination, count in () if self._are_alike else told_apart(combinations):
+        for combination, count in () if self._are_alike else distinct_combinations(combinations):
             self._left[self._key(combination)] += count
         self._to_come = self._left.total()
         self._computed = self._cost = 0.0
@@ -227,19 +226,19 @@ class Durations:
             return
         key, began, place = self._current.pop(run)
         seen = self._done if status == AttemptStatus.DONE.value else self._failed
-        seen.take(key, max(0.0, at - began) - self._said.get(key, 0.0))
+        seen.take(key, max(0.0, at - began) - self._declared_s.get(key, 0.0))
         self._ended[place], self._has_begun = at, True
         if self._expected is None:  # now it is known
             self._computed = 0.0
 
-    def said_of(self, combination: Mapping[str, Any]) -> float | None:
-        """Return how long a run of this combination takes by what plugins say, s; None where they say nothing."""
-        return self._said.get(self._key(combination))
+    def declared_of(self, combination: Mapping[str, Any]) -> float | None:
+        """Return the declared duration of a run of this combination, s; None where there is none."""
+        return self._declared_s.get(self._key(combination))
 
     def learn(self, combination: Mapping[str, Any], seconds: float) -> None:
         """Learn from a run that is done and took so many seconds."""
         key = self._key(combination)
-        self._done.take(key, seconds - self._said.get(key, 0.0))
+        self._done.take(key, seconds - self._declared_s.get(key, 0.0))
         self._computed = 0.0
 
     def break_off(self) -> None:
@@ -258,7 +257,7 @@ class Durations:
         return math.fsum(self._pauses) / len(self._pauses) if self._pauses else self._rest
 
     @property
-    def _seen(self) -> SeenRuns:
+    def _seen(self) -> ObservedDurations:
         return self._done if self._done.count else self._failed
 
     def of_run(self, combination: Mapping[str, Any]) -> float | None:
@@ -271,8 +270,8 @@ class Durations:
     def _of(self, key: CombinationKey) -> float | None:
         beyond = self._seen.expected(key)
         if beyond is None:
-            return self._said.get(key)
-        return max(0.0, self._said.get(key, 0.0) + beyond)
+            return self._declared_s.get(key)
+        return max(0.0, self._declared_s.get(key, 0.0) + beyond)
 
     def left(self) -> TimeLeft | None:
         """Return how long the run that has begun and those to come take; None where that is not known."""
@@ -321,24 +320,24 @@ class Durations:
         return math.fsum(count * seconds for count, seconds in expected if seconds is not None)
 
     def _unknown(self) -> tuple[str, ...]:
-        """Return what comes on top of what is known."""
+        """Return the parts of unknown duration, in words."""
         waits = () if self._pauses else self._waits
         waits = (*waits, self._follows) if self._follows else waits
-        if self.count or not self._said:
+        if self.count or not self._declared_s:
             return waits
-        opening = "what opens and closes a run"
-        return (*(f"launch_mission of {name}" for name in self.knowledge.silent), opening, *waits)
+        missions = [f"launch_mission of {name}" for name in self.declared.without]
+        return (*missions, "the other events of a run", *waits)
 
     def _source(self) -> str:
         if self.count:
             return f"as the {counted(self.count, 'run')} that ended" if self.count > 1 else "as the run that ended"
-        names = [name for name, _ in self.knowledge.speakers]
+        names = [name for name, _ in self.declared.sources]
         return f"as {enumerated(names)} {'says' if len(names) == 1 else 'say'}"
 
     def _why_not(self) -> str:
-        if self.knowledge.is_simulated:
+        if self.declared.is_simulated:
             return "how long the simulated robot takes, until a run has ended"
-        who = enumerated(self.knowledge.silent) if self.knowledge.silent else "a plugin or of the config"
+        who = enumerated(self.declared.without) if self.declared.without else "a plugin or of the config"
         return f"how long a run takes, until one has ended (duration_s of {who} would tell)"
 
 
@@ -350,13 +349,13 @@ def durations_of(
     combinations: Iterable[Mapping[str, Any]],
     journal: Path,
 ) -> Durations:
-    """Return what is known of the durations of an experiment, and what was learnt from its runs so far.
+    """Return the durations of an experiment, by its plugins and by its runs so far.
 
     Raises:
         StorageError: the journal cannot be read.
     """
     durations = Durations(
-        MissionKnowledge.of(config, plugins, events, parameters.robot),
+        DeclaredDurations.of(config, plugins, events, parameters.robot),
         combinations,
         rest_s=parameters.time_between_runs_in_ms / 1000,
         waits=list(_waits(parameters)),
@@ -366,7 +365,7 @@ def durations_of(
 
 
 def _waits(parameters: Parameters) -> Iterator[str]:
-    """Yield what comes between two runs besides the rest."""
+    """Yield in words what delays the next run besides the rest."""
     if parameters.operation_type is OperationType.SEMI or parameters.operator_steps:
         yield "the operator between two runs"
     if parameters.gates:

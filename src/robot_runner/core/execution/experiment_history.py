@@ -1,4 +1,4 @@
-"""What the journal and the run table of an experiment tell of how far it has come, record by record."""
+"""The progress of an experiment, gathered from its journal record by record, and from its run table."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from robot_runner.core.config.treatment_makers import PREPARED
 from robot_runner.core.design.batch import CONFIRMATION
 from robot_runner.core.design.batches import EXTENDED
 from robot_runner.core.errors import Finding
-from robot_runner.core.events.measure import Quality, quality_of_value
+from robot_runner.core.events.measure import OPERATOR_OWNER, Quality, quality_of_value
 from robot_runner.core.execution.durations import TimeLeft
 from robot_runner.core.execution.places import InFlight
 from robot_runner.core.execution.step_history import StepHistory
@@ -59,7 +59,7 @@ def _moment(stamp: str) -> datetime:
 
 
 class ExperimentHistory:
-    """What the journal and then the run table tell: read at once (`read`), or followed while the experiment goes on.
+    """The progress by the journal and the run table: read at once (`read`), or followed while the experiment goes on.
 
     To follow it, give each record to `take`, call `read_table` once the journal was read, and `settle` after each later
     record. `experiment_status.status_of` makes an `ExperimentStatus` of it.
@@ -104,7 +104,12 @@ class ExperimentHistory:
         #: Whether neither a table nor the journal tells which runs are planned.
         self.lacks_plan = False
         self._measures: Collection[str] = ()
+        #: Those that a person is asked for, which have values in some runs only.
+        self._asked_for: Collection[str] = ()
         self._qualities: dict[str, dict[str, Quality]] = {}
+        #: What was published in each run; runs that published the same share one tuple, as there may be a million.
+        self._published: dict[str, tuple[str, ...]] = {}
+        self._publications: dict[tuple[str, ...], tuple[str, ...]] = {}
 
     def read(self, files: ExperimentFolder) -> None:
         """Read all that is on disk.
@@ -127,11 +132,11 @@ class ExperimentHistory:
             take(record)
 
     def settle(self) -> None:
-        """Update the statuses by what the journal told since the run table was written."""
+        """Update the statuses by the journal's records since the run table was written."""
         self.statuses |= self._since_table
 
     def read_table(self, files: ExperimentFolder) -> None:
-        """Read the run table, and add what the journal told since it was written.
+        """Read the run table, and add the journal's records since it was written.
 
         Raises:
             StorageError: it cannot be read.
@@ -151,9 +156,10 @@ class ExperimentHistory:
             self.findings.append(Finding.warning(str(missing), problem, fix))
 
     def take_rows(self, rows: RunTableRows) -> None:
-        """Take the rows of the run table into account, and beyond them what the journal told since it was written."""
+        """Take the rows of the run table into account, and the journal's records since it was written."""
         layout = rows.layout
         self._measures = layout.measures
+        self._asked_for = {name for name, owner in layout.owners.items() if owner == OPERATOR_OWNER}
         self.statuses = {rows.run_id(place): rows.status(place) for place in range(len(rows))}
         self.warm_ups |= {run.run_id for run in rows.planned if run.is_warm_up}
         self.combinations = {run.run_id: run.combination for run in rows.planned}
@@ -190,7 +196,7 @@ class ExperimentHistory:
 
     @property
     def left_after(self) -> list[Finding]:
-        """What a person is still to do after runs that have ended."""
+        """The operator's steps that are still to be done after runs that have ended."""
         return [each for each in self._steps.left_after if each.where not in self.exclusions.present]
 
     @property
@@ -208,8 +214,14 @@ class ExperimentHistory:
     def bad_values(self) -> dict[str, dict[str, list[str]]]:
         """The runs that are done whose values are not good, by measure and quality."""
         bad: dict[str, dict[str, list[str]]] = {}
+        wanted = [name for name in self._measures if name not in self._asked_for]
+        unpublished = {
+            names: {name: Quality.MISSING for name in wanted if name not in names} for names in self._publications
+        }
         for run, qualities in self._qualities.items():
-            for name, quality in qualities.items() if self.statuses.get(run) is RunStatus.DONE else ():
+            if self.statuses.get(run) is not RunStatus.DONE:
+                continue
+            for name, quality in (qualities | unpublished[self._published[run]]).items():
                 if name in self._measures:
                     bad.setdefault(name, {}).setdefault(quality.value, []).append(run)
         return bad
@@ -259,6 +271,8 @@ class ExperimentHistory:
         self._take_added(record)
         if record.get("role") == CONFIRMATION:
             self._take_judged(record)
+        else:
+            self.is_decided = False  # it is looked at again once these are done
 
     def _take_attempt_started(self, record: Mapping[str, Any]) -> None:
         self._in_flight[record["run"]] = InFlight(record["run"], record.get("place", ""))
@@ -283,6 +297,7 @@ class ExperimentHistory:
             name: quality_of_value(each["value"], each.get("doubts", ())) for name, each in record["measures"].items()
         }
         self._qualities[record["run"]] = {name: each for name, each in told.items() if each is not Quality.GOOD}
+        self._published[record["run"]] = self._publications.setdefault(names := tuple(told), names)
         self._in_flight.pop(record["run"], None)
         self._steps.expect_after(record)
         self._take_left(record)

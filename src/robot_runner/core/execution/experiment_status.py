@@ -10,6 +10,7 @@ from types import MappingProxyType
 from typing import Any
 
 from robot_runner.core.config.operator_steps import Question
+from robot_runner.core.design.asking import HOW_OFTEN, WHICH_RUNS
 from robot_runner.core.design.precision import rule_in_words, rules_of_mapping
 from robot_runner.core.errors import ExecutionError, Finding
 from robot_runner.core.execution.durations import Durations, TimeLeft
@@ -60,6 +61,7 @@ class ExperimentStatus:
         repeated: until when combinations are repeated, and how often at least and at most; empty where they are not.
         precision: how precise the experiment was when it was looked at last, for each rule, in words.
         decided: what its design decided last and why, or what it will decide; empty where it decides nothing.
+        follows: what is decided once the planned runs are done, in words; empty where nothing is, or no runs follow.
         lacks_plan: whether nothing on disk tells how many runs are planned: then `todo` has those that are known of.
         order: how many runs were executed out of the order of the run table; empty where none was.
     """
@@ -94,6 +96,7 @@ class ExperimentStatus:
     repeated: str = ""
     precision: tuple[str, ...] = ()
     decided: str = ""
+    follows: str = ""
     gates: tuple[Mapping[str, Any], ...] = ()
     gate_seconds: float = 0.0
     waiting_for: Mapping[str, Any] | None = None
@@ -101,12 +104,12 @@ class ExperimentStatus:
 
     @property
     def moment_of_pause(self) -> str:
-        """When a pause that is asked for now begins, in words."""
+        """When a pause that is requested now begins, in words."""
         return f"after {self.runs_now}" if self.in_flight else "before the next run"
 
     @property
     def closed_first(self) -> str:
-        """What a stop now does to the runs that are being executed, in words; empty where there are none."""
+        """The effect of a stop now on the runs that are being executed, in words; empty where there are none."""
         verb = "are" if len(self.in_flight) > 1 else "is"
         return f"{self.runs_now} {verb} closed first, and {verb} to be done again" if self.in_flight else ""
 
@@ -131,7 +134,7 @@ def read_status(folder: Path) -> ExperimentStatus:
 
 
 def status_of(files: ExperimentFolder, history: ExperimentHistory) -> ExperimentStatus:
-    """Return how far an experiment is at this moment, by what was read of its journal and its run table.
+    """Return the present progress of an experiment, by its journal and its run table as they were read.
 
     Raises:
         StorageError: the manifest cannot be read.
@@ -144,7 +147,8 @@ def status_of(files: ExperimentFolder, history: ExperimentHistory) -> Experiment
     goes_on = holder is not None and (not holder.pid or history.pid in {None, holder.pid})
     repeated = rule_in_words(*rules_of_mapping(manifest.get("repeat_until")))
     decides = str((manifest.get("design", {}).get("facts") or {}).get("decides", ""))
-    follows = "" if history.is_decided else repeated or decides
+    is_settled = history.is_decided or manifest.get("design", {}).get("source", "config") != "config"
+    follows = "" if is_settled else HOW_OFTEN if repeated else WHICH_RUNS if decides else ""
     left = history.left if holder is not None else _time_left(files, history, follows)
     done = [run for run, status in statuses.items() if status is RunStatus.DONE]
     # While it is executed, the end of a run may have been recorded since the journal was read.
@@ -183,6 +187,7 @@ def status_of(files: ExperimentFolder, history: ExperimentHistory) -> Experiment
         repeated=repeated,
         precision=history.precision,
         decided=history.decided or decides,
+        follows=follows,
         gates=tuple(history.gates.values()) if goes_on else (),
         gate_seconds=history.gate_seconds,
     )
@@ -231,7 +236,7 @@ _LOOK = 0.05
 
 
 def questions_of(status: ExperimentStatus) -> list[Question]:
-    """Return what an experiment asks at this moment."""
+    """Return the questions that an experiment waits on at this moment."""
     asked = status.waiting_for["questions"] if status.waiting_for else ()
     return [Question.from_mapping(facts) for facts in asked]
 
@@ -273,7 +278,7 @@ def require_waiting(status: ExperimentStatus, where: str) -> None:
 def continue_and_see(
     files: ExperimentFolder, waiting_for: Mapping[str, Any] | None, answers: Mapping[str, str], where: str
 ) -> None:
-    """Tell a waiting experiment to go on, and wait until it has taken the request.
+    """Send `continue` to a waiting experiment, and wait until it has taken the request.
 
     Args:
         files: of the experiment.

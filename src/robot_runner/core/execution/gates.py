@@ -16,12 +16,12 @@ from robot_runner.core.config.gate_parameters import Gate, GatePolicy
 from robot_runner.core.errors import ConditionTimeout, Finding, RobotRunnerError
 from robot_runner.core.events.context import RobotRunnerContext
 from robot_runner.core.events.measure import CONFIG_OWNER
-from robot_runner.core.execution.aside import executed_aside
 from robot_runner.core.execution.notices import FindingsNoticed, GatePassed, GateWaiting
 from robot_runner.core.execution.orchestrator_events import OngoingExperiment
-from robot_runner.core.execution.patience import NO_MORE_RUNS, Pause, Steps, until_ending
 from robot_runner.core.execution.places import Watch
+from robot_runner.core.execution.poll_loop import NO_MORE_RUNS, Pause, Steps, until_ending
 from robot_runner.core.execution.task import PendingRun, Report, RunOutcome, RunTask
+from robot_runner.core.execution.work_beside_runs import executed_beside_runs
 from robot_runner.core.words import shown_duration
 
 #: How long the process may take beyond the gate's own time, s: to connect, or to begin a simulation.
@@ -88,11 +88,11 @@ class Gates:
         seconds = sum(gate.patience_s for gate in gates) + _MARGIN
         # Where none can ask the robot, neither its graph nor a simulation is needed to wait.
         asks_robot = not all(gate.condition.is_outside for gate in gates)
-        waiting = executed_aside(
+        waiting = executed_beside_runs(
             experiment,
             task,
             lambda context: _await_gates(gates, context),
-            Watch(self._ongoing.patience.interruption, take),
+            Watch(self._ongoing.poll_loop.interruption, take),
             deadline_s=seconds if math.isfinite(seconds) else None,
             robot=experiment.parameters.robot if asks_robot else None,
         )
@@ -100,7 +100,7 @@ class Gates:
 
 
 class _Wait:
-    """One wait at the gates, as its process tells of it."""
+    """One wait at the gates, as its process reports it."""
 
     def __init__(self, gates: Sequence[Gate], task: RunTask, ongoing: OngoingExperiment) -> None:
         self._gates = gates
@@ -149,7 +149,7 @@ class _Wait:
         self._finish(state, problem)
 
     def passage(self) -> Passage:
-        """Return what follows from the gates that were not passed."""
+        """Return the consequence of the gates that were not passed."""
         doubts, failure, stop = [], "", ""
         for gate, problem in self._problems:
             told = f"the gate was not passed: {problem}"

@@ -1,4 +1,4 @@
-"""The values that an experiment was given, as JSON data: static parameters, and what its plugins were made with.
+"""The values that an experiment was given, as JSON data: static parameters, and the arguments of its plugins.
 
 The text of a config does not show what it takes from outside: a variable of the environment, the name of the machine.
 So each execution records the values, and a later one is compared with them. Of what has no stable text (an object, a
@@ -34,8 +34,7 @@ from robot_runner.core.events.condition import Condition
 from robot_runner.core.secret_names import REDACTED, is_secret_name, without_environment_secrets
 from robot_runner.core.storage.layout import home_folder
 from robot_runner.core.storage.manifest import last_execution
-from robot_runner.core.treatments import Bindable, Treatment, given_to
-from robot_runner.core.vain_parameters import CONFIG_MODULE
+from robot_runner.core.treatments import CONFIG_MODULE, Bindable, Treatment, given_to
 
 #: Stands for a value that has no stable text; for a secret it is `REDACTED`, as everywhere.
 LEFT_OUT = "(left out)"
@@ -277,7 +276,7 @@ def changed_values(experiment: Experiment, manifest: Mapping[str, Any]) -> dict[
 
 
 def last_given(manifest: Mapping[str, Any]) -> Mapping[str, Any] | None:
-    """Return what the experiment was given last, by its manifest; None where an earlier version recorded nothing."""
+    """Return the values of the last execution, by the manifest; None where an earlier version recorded nothing."""
     given = manifest.get("given_to_extension", last_execution(manifest).get("given"))
     return given if isinstance(given, dict) else None
 
@@ -312,7 +311,7 @@ def accept_given(experiment: Experiment, manifest: dict[str, Any]) -> None:
 def _changed_since(
     manifest: Mapping[str, Any], experiment: Experiment, now: Mapping[str, Any]
 ) -> dict[str, dict[str, Any]]:
-    """Return what differs between the values now and those in a manifest; nothing where that has none.
+    """Return the differences between the values now and those in a manifest; none where that has no values.
 
     A class that a script executes shows fewer names than its file (`is_from_file`): one that only the file shows
     is not a change where the other of two executions was of such a class.

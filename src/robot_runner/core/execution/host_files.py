@@ -1,4 +1,4 @@
-"""A config's hosts in each run: connected before the robot moves, and what they have fetched when it stops."""
+"""A config's hosts in each run: connected before the robot moves; their files are fetched when it stops."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def bring_host_files(parameters: Parameters, plugins: Sequence[Plugin]) -> Seque
 
 
 class HostFiles(System):
-    """Connects to the hosts of a config when a run starts, and fetches what they have when it stops.
+    """Connects to the hosts of a config when a run starts, and fetches their files when it stops.
 
     It begins before all other plugins and ends after them, so that what they write there is fetched, too. A host that
     cannot be reached fails the run before anything moves; files that do not come are warnings of the run.
@@ -51,7 +51,7 @@ class HostFiles(System):
         self._begun: dict[str, float] = {}
 
     def claims(self, robot: str | None) -> Iterable[str]:
-        """Return what a run needs for itself: nothing but the hosts, which the experiment names."""
+        """Return what a run needs for itself: only the hosts, which the experiment names."""
         del robot
         return ()
 
@@ -69,7 +69,7 @@ class HostFiles(System):
         self._run_began = time.time()
 
     def start_run(self, context: RobotRunnerContext) -> None:
-        """Connect to each host, and ask what time it is there."""
+        """Connect to each host, and read its clock."""
         for name, host in self._hosts.items():
             now = time.time()
             since = 0.0 if self._run_began is None else now - self._run_began  # a fresh interpreter was not told
@@ -79,7 +79,7 @@ class HostFiles(System):
             self._begun[name] = now - since
 
     def stop_run(self, context: RobotRunnerContext) -> None:
-        """Fetch what is declared of each host; after a failure as much as the grace allows."""
+        """Fetch the declared files of each host; after a failure as many as the grace allows."""
         end = time.monotonic() + self._grace * _SHARE_OF_GRACE
         for name, host in self._hosts.items():
             if not host.fetch:
@@ -96,8 +96,8 @@ class HostFiles(System):
                 context.warn(f"nothing was fetched from {name}: {error.problem}", fix=error.fix)
 
     def _look_at(self, context: RobotRunnerContext, name: str, pattern: str, came: Sequence[Path]) -> None:
-        """Warn where nothing that came was written since the run began: it may be what an earlier run has left."""
+        """Warn where no fetched file was written since the run began: they may be those of an earlier run."""
         before = self._begun.get(name, 0.0) - max((path.stat().st_mtime for path in came), default=math.inf)
         if before > _STEP:
-            problem = f"what was fetched from {name} as {pattern} was written {shown_duration(before)} before the run"
+            problem = f"files fetched from {name} as {pattern} were written {shown_duration(before)} before the run"
             context.warn(problem, fix="Check whether this run wrote it; have each run remove what an earlier one left.")

@@ -82,7 +82,7 @@ def ignore_broken_pipes() -> None:
 
 
 class InterruptGate:
-    """Lets a stop request end a callback, and never the closing of what callbacks opened.
+    """Lets a stop request end a callback, but never the closing of what callbacks opened.
 
     Requests come from signals, and from any thread that ends the run or its mission. A thread cannot raise anything in
     another one: it sends a signal to the main thread, whose handler does, also in a sleep, a wait or a join.

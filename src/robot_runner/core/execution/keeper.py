@@ -31,7 +31,7 @@ from typing import Self
 
 from robot_runner.core.execution import processes
 from robot_runner.core.execution.interruption import ASK_AGAIN, STOP_SIGNALS
-from robot_runner.core.execution.left_over import RunMark, left_over_ended
+from robot_runner.core.execution.left_processes import RunMark, left_processes_ended
 from robot_runner.core.execution.run_records import RecordWriter
 from robot_runner.core.execution.standby import Standby
 from robot_runner.core.storage.layout import ExperimentFolder
@@ -58,7 +58,7 @@ _leaving: list[Keeper] = []
 
 
 def _let_go_in_child() -> None:
-    """Close the pipes to the keepers of other runs in a forked process, whatever it was forked for.
+    """Close the pipes to the keepers of other runs in any forked process.
 
     A keeper takes the end of its requests for the death of the orchestrator: no other process may hold that pipe open.
     """
@@ -153,7 +153,7 @@ class Keeper:
             self.reap()
 
     def let_go(self) -> None:
-        """Close what connects this process to the keeper."""
+        """Close the pipes between this process and the keeper."""
         for descriptor in (self.records, self._requests, self.told):
             os.close(descriptor)
 
@@ -178,7 +178,7 @@ class Keeper:
         processes.try_kill(self._pid)
 
     def wake(self) -> None:
-        """Have the keeper go on where somebody has stopped it."""
+        """Let a keeper go on that was stopped by a signal."""
         if is_stopped(self._pid):
             os.kill(self._pid, signal.SIGCONT)
 
@@ -192,7 +192,7 @@ class Keeper:
         """
         if self.run is not None:  # else the run had not begun, and does not begin without a keeper
             yield from processes.group_ended(self.run, grace, self.spared)
-        yield from left_over_ended(self._folder, [])
+        yield from left_processes_ended(self._folder, [])
 
     def spared(self) -> frozenset[int]:
         """Return which processes may outlive the run that started them."""
@@ -375,7 +375,7 @@ class _KeeperProcess:
 
 
 def _widen(descriptor: int) -> None:
-    """Enlarge the buffer of a pipe (Linux): what is in it can be read after the run has died."""
+    """Enlarge the buffer of a pipe (Linux): its content can be read after the run has died."""
     if hasattr(fcntl, "F_SETPIPE_SZ"):
         with suppress(OSError):  # the user has reached the limit of memory for pipes: it stays as it is
             fcntl.fcntl(descriptor, fcntl.F_SETPIPE_SZ, _PIPE_BYTES)

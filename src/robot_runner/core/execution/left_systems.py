@@ -1,8 +1,8 @@
 """Cleaning up after an execution that was killed, by the next one, before it does anything else.
 
-Processes that are still alive are awaited and ended (`left_over`), the standby included, as two must not command one
-robot. Where a run was killed with its keeper and its standby, its systems are made safe now: a robot carries out its
-last command for ever.
+Processes that are still alive are awaited and ended (`left_processes`), the standby included, as two must not command
+one robot. Where a run was killed with its keeper and its standby, its systems are made safe now: a robot carries out
+its last command for ever.
 """
 
 from __future__ import annotations
@@ -15,8 +15,7 @@ from pathlib import Path
 
 from robot_runner.core.config.claims import Claims, held_claims
 from robot_runner.core.config.experiment import Experiment
-from robot_runner.core.config.plugin_checks import failed_check
-from robot_runner.core.entry_points import entry_points, instances_of
+from robot_runner.core.config.plugin_checks import announced_findings
 from robot_runner.core.errors import (
     ExecutionError,
     Finding,
@@ -25,13 +24,13 @@ from robot_runner.core.errors import (
     StorageError,
     errors_first,
 )
-from robot_runner.core.execution.left_over import (
-    await_left_over,
-    end_left_over,
+from robot_runner.core.execution.left_processes import (
+    await_left_processes,
+    end_left_processes,
     go_on_elsewhere,
     is_alive,
     is_subject_left,
-    left_over,
+    left_processes,
     marked_folders,
 )
 from robot_runner.core.execution.run_events import made_safe_of_their_own
@@ -65,7 +64,7 @@ def see_to_what_is_left(experiment: Experiment) -> list[Finding]:
             person has to do it then.
     """
     folder = experiment.folder
-    awaited = [await_left_over(folder, experiment.parameters.grace_in_s), await_standby(folder)]
+    awaited = [await_left_processes(folder, experiment.parameters.grace_in_s), await_standby(folder)]
     found = [each for each in awaited if each is not None]
     return _told([*found, *_ended_by_rooms(folder.root, lambda _: True), *_made_safe_late(experiment)])
 
@@ -155,22 +154,13 @@ def _told(findings: list[Finding]) -> list[Finding]:
 
 
 def _ended_by_rooms(root: Path, may_command: Callable[[str], bool]) -> list[Finding]:
-    """Let rooms end what they have started for all runs of a killed execution, and stop the robots it commanded."""
-    return _found_by_rooms("left_behind", root, may_command)
-
-
-def _found_by_rooms(group: str, *arguments: object) -> list[Finding]:
-    found: list[Finding] = []
-    for point in entry_points(group):
-        try:
-            found += instances_of(Finding, point.load()(*arguments))
-        except Exception as error:  # noqa: BLE001 - another package's code; what it raises is a finding like others
-            found.append(failed_check(point.where, error, "it"))
-    return found
+    """Let rooms end the programs that they started for all runs of a killed execution, and stop its robots."""
+    what = "ending what was left"
+    return announced_findings("left_behind", lambda point: point.load()(root, may_command), what)
 
 
 def _end_what_is_left(root: Path, may_command: Callable[[str], bool]) -> list[Finding]:
-    """End what a killed execution of another experiment has left alive, unless that is being executed again.
+    """End the processes of a killed execution of another experiment, unless that is being executed again.
 
     A process that may drive a robot which this experiment could not stop afterwards is left alone, and is an error.
     """
@@ -183,9 +173,9 @@ def _end_what_is_left(root: Path, may_command: Callable[[str], bool]) -> list[Fi
             for each in marked_folders(folder):
                 left = SystemsFile(each).left()
                 if left is None or left.robot is None or may_command(left.robot):
-                    killed += end_left_over(each)
+                    killed += end_left_processes(each)
                     await_standby_at(each)  # a run that was stopped, say, has a standby, which acts now
-                elif going_on := left_over(each):
+                elif going_on := left_processes(each):
                     findings.append(_left_driving(root, left.robot, going_on))
             findings += _ended_by_rooms(root, may_command)
     except (ExecutionError, StorageError):  # it is executed again, and has ended that itself; or was removed
@@ -197,9 +187,10 @@ def _end_what_is_left(root: Path, may_command: Callable[[str], bool]) -> list[Fi
 
 
 def _left_driving(root: Path, robot: str, pids: Sequence[int]) -> Finding:
-    what = f"it may drive a robot ({robot}) that this experiment has not claimed: process {enumerated(map(str, pids))}"
-    fix = "Start that experiment again, which ends it and makes its systems safe."
-    return Finding.error(str(root), f"what is left of a killed execution goes on; {what}", fix)
+    left = f"process {enumerated(map(str, pids))} of a killed execution is alive"
+    problem = f"{left} and may drive a robot ({robot}) that this experiment has not claimed"
+    fix = "Start that experiment again, which ends the process and makes the systems safe."
+    return Finding.error(str(root), problem, fix)
 
 
 def _finding_of_other(standby: Standby, root: str, left: LeftSystems, *, is_gone: bool = False) -> Finding:
@@ -249,7 +240,7 @@ def _made_safe_late(experiment: Experiment) -> list[Finding]:
 
 @contextmanager
 def told_if_refused() -> Iterator[list[Finding]]:
-    """Yield a list of what was done about those systems; an error that refuses the execution gets its findings, too."""
+    """Yield a list for findings on those systems; an error that refuses the execution gets them, too."""
     findings: list[Finding] = []
     try:
         yield findings
@@ -329,7 +320,7 @@ def _finding(standby: Standby, left: LeftSystems) -> Finding:
 
 
 def may_be_moving(folder: ExperimentFolder) -> list[Finding]:
-    """Return warnings of what was killed with all who would have stopped its robot: it may be moving.
+    """Return a warning for each run that was killed with all processes that would have stopped its robot.
 
     That is a run, with its keeper and standby, or what a room has started for all runs.
     """
@@ -337,12 +328,12 @@ def may_be_moving(folder: ExperimentFolder) -> list[Finding]:
         return []
     fix = "Start the experiment again, which does it before anything else, or stop it by hand."
     left = [Finding.warning(each.run_id, f"{MAY_BE_MOVING}: {each.in_words}", fix) for _, each in _left_in(folder)]
-    left += _found_by_rooms("left_moving", folder.root)
+    left += announced_findings("left_moving", lambda point: point.load()(folder.root), "looking at what was left")
     return [] if left and goes_on(folder.root, counts_orphans=False) else left
 
 
 def goes_on(root: Path, *, counts_orphans: bool = True) -> bool:
-    """Return whether processes of an experiment are alive that nobody executes any more.
+    """Return whether processes of an experiment are alive whose orchestrator is gone.
 
     Such are a run, here or on another machine; a probe, gate or reboot; software under test; and a standby.
 
@@ -356,6 +347,6 @@ def goes_on(root: Path, *, counts_orphans: bool = True) -> bool:
             return False
         marked = marked_folders(folder)
         is_here = any(is_alive(each) or is_at_work(each) for each in marked)
-        is_left = counts_orphans and any(map(left_over, marked))
+        is_left = counts_orphans and any(map(left_processes, marked))
         return is_here or is_left or is_subject_left(folder) or go_on_elsewhere(folder)
     return False

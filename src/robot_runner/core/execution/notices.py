@@ -60,10 +60,7 @@ class AttemptStarted:
 
 @dataclass(frozen=True, slots=True)
 class RunRecord:
-    """Something happened in the run: an event, a measure, key-value pairs, a finding, a failure.
-
-    Of a run that has ended, it is a measure that a person was asked for afterwards.
-    """
+    """Something happened in the run: an event, a measure, key-value pairs, a finding, a failure."""
 
     run_id: str
     kind: str
@@ -81,15 +78,27 @@ class AttemptFinished:
 
 
 @dataclass(frozen=True, slots=True)
+class OutcomeAmended:
+    """A run that has ended got more measures: by answers of the operator, or published during `continue`.
+
+    Attributes:
+        outcome: the whole of its last attempt, with them.
+    """
+
+    run_id: str
+    outcome: RunOutcome
+
+
+@dataclass(frozen=True, slots=True)
 class FindingsNoticed:
-    """A run that was just recorded shows something about all that follow; it is said again at the end."""
+    """A run that was just recorded has findings about all that follow; they are repeated at the end."""
 
     findings: Sequence[Finding]
 
 
 @dataclass(frozen=True, slots=True)
 class NextDecided:
-    """All runs are done that were planned, and it was decided from their results what follows.
+    """All planned runs are done, and the next ones were decided from their results.
 
     Attributes:
         told: what was decided and why, for people.
@@ -104,7 +113,7 @@ class NextDecided:
 
 @dataclass(frozen=True, slots=True)
 class WaitingForUser:
-    """The next run starts once the user says so (SEMI), or says that a step is done.
+    """The next run starts once the user continues (SEMI), or confirms a step.
 
     Attributes:
         run_id, combination, repetition: of the next run, or of the one that is over where `is_after`.
@@ -146,7 +155,7 @@ class AnswersRefused:
 
 @dataclass(frozen=True, slots=True)
 class UserHasContinued:
-    """The user has said to go on, or has interrupted."""
+    """The user has continued, or has interrupted."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -159,7 +168,7 @@ class HostRestarts:
 
 @dataclass(frozen=True, slots=True)
 class Paused:
-    """Somebody asked for a pause: the next run starts once it is ended."""
+    """A pause was requested: the next run starts once it is ended."""
 
     folder: Path
     next_run_number: int
@@ -206,7 +215,7 @@ class GatePassed:
 
 @dataclass(frozen=True, slots=True)
 class InterruptionNoticed:
-    """The user asked for the end: the run is being closed; asked once more, it is killed."""
+    """The user has interrupted: the run is being closed; after a second interruption it is killed."""
 
     run_id: str
 
@@ -220,8 +229,8 @@ class ExperimentFinished:
             to do.
         failed: the ids of the runs that failed.
         interrupted: whether the user asked for the end.
-        stopped_by_policy: whether it was ended before its last run, by the config or for safety.
-        stopped_by: by what: `on_failure`, `a gate`, `a guard`, or `a robot that may be moving`.
+        stopped_by: by what it was ended before its last run: `on_failure`, `a gate`, `a guard`, or `a robot that may be
+            moving`; empty where it was not.
         findings: what looked odd.
         seconds: real time.
         excluded: the ids of the runs that are left out.
@@ -234,12 +243,11 @@ class ExperimentFinished:
     todo_count: int
     failed: Sequence[str]
     interrupted: bool
-    stopped_by_policy: bool
     failures: Sequence[str] = ()
     findings: Sequence[Finding] = field(default_factory=tuple)
     seconds: float = 0.0
     excluded: Sequence[str] = ()
-    stopped_by: str = "on_failure"
+    stopped_by: str = ""
 
 
 Notice = (
@@ -249,6 +257,7 @@ Notice = (
     | AttemptStarted
     | RunRecord
     | AttemptFinished
+    | OutcomeAmended
     | FindingsNoticed
     | NextDecided
     | WaitingForUser
@@ -273,7 +282,7 @@ class Observer(Protocol):
 
     @property
     def user_input(self) -> int | None:
-        """The descriptor on which the user answers, or says to go on, by lines; None where nobody sits there."""
+        """The descriptor from which lines of the user are read: answers, or ENTER; None where there is no terminal."""
 
     def notice(self, notice: Notice) -> None:
         """Take a notice."""

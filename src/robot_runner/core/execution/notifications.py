@@ -37,7 +37,7 @@ _LONGEST = 1500
 
 @dataclass(frozen=True, slots=True)
 class _Message:
-    """What is sent; the kind is one of apprise's: `info`, `success`, `warning`, `failure`."""
+    """A notification; the kind is one of apprise's: `info`, `success`, `warning`, `failure`."""
 
     title: str
     body: str
@@ -138,7 +138,7 @@ class Notifications:
     def _end(self, finished: notices.ExperimentFinished) -> _Message:
         run_count = finished.done_count + finished.failed_count + finished.todo_count
         counts = self._counts(finished.done_count, run_count, finished.failed_count)
-        why = " was interrupted" if finished.interrupted else " was stopped" if finished.stopped_by_policy else " ended"
+        why = " was interrupted" if finished.interrupted else " was stopped" if finished.stopped_by else " ended"
         body = [f"After {shown_duration(finished.seconds)}, on {socket.gethostname()}.", *finished.failures]
         kind = "failure" if finished.failed_count else "warning" if finished.todo_count else "success"
         return _Message(f"{self._name}{why}: {counts}", "\n".join(map(one_line, body)), kind)

@@ -17,13 +17,13 @@ from robot_runner.core.errors import ExecutionError, MeasureError
 from robot_runner.core.events.measure import OPERATOR_OWNER, MeasureValue, Origin
 from robot_runner.core.execution.notices import (
     AnswersRefused,
+    OutcomeAmended,
     QuestionAsked,
-    RunRecord,
     UserHasContinued,
     WaitingForUser,
 )
 from robot_runner.core.execution.orchestrator_events import OngoingExperiment
-from robot_runner.core.execution.patience import Pause, Steps
+from robot_runner.core.execution.poll_loop import Pause, Steps
 from robot_runner.core.execution.step_history import StepHistory, still_to_do
 from robot_runner.core.execution.task import OutcomeBuilder, PendingRun, Report, RunOutcome, RunTask
 from robot_runner.core.storage.lock import Asked, take_request
@@ -114,9 +114,9 @@ class Operator:
             builder.go_on_from(outcome)
             for name, value in measures.items():
                 builder.take("measure", _as_measure(name, value))
-                self._notify(RunRecord(run.run_id, "measure", _as_measure(name, value)))
             # The answers are recorded before the step: one that is recorded as done is not asked for again.
             outcome = self._progress.amend_outcome(self._progress.task_of(run, place), outcome, builder.outcome())
+            self._notify(OutcomeAmended(run.run_id, outcome))
             facts = {"run": run.run_id, "step": step.name, "treatments": {}, "answers": measures, "notes": notes}
             self._progress.note("operator_step", flush=True, **facts, is_after=True)
             self._known().end_step(run.run_id, step.name)
@@ -137,7 +137,7 @@ class Operator:
             yield Pause(_LISTEN)
 
     def ask_to_start(self, run: PendingRun, place: str) -> Steps[None]:
-        """Wait until somebody says that a run may start (SEMI), or until an interruption."""
+        """Wait until the operator lets a run start (SEMI), or until an interruption."""
         yield from self._ask(run, place)
 
     def note_read(self, run_id: str, factor: str, owner: str) -> None:
@@ -145,7 +145,7 @@ class Operator:
         self._reads.setdefault(run_id, {})[factor, owner] = None
 
     def hand_over(self, task: RunTask, report: Report) -> None:
-        """Report to an attempt the answers as its measures, and who has read its treatments before."""
+        """Report to an attempt the answers as its measures, and the earlier readers of its treatments."""
         for factor, owner in self._reads.get(task.run_id, ()):
             report("read", {"factor": factor, "owner": owner})
         if not self._steps:
@@ -206,7 +206,7 @@ class Operator:
     def _ask(
         self, run: PendingRun, place: str, step: OperatorStep | None = None
     ) -> Steps[dict[str, MeasureValue] | None]:
-        """Wait until the operator says that a step is done, or that a run may start; None where it ends before.
+        """Wait until the operator confirms a step, or lets a run start; None where the wait ends before.
 
         The operator is asked about one run at a time, in the order of the runs.
         """
@@ -258,7 +258,7 @@ class Operator:
         )
 
     def _has_ended(self, step: OperatorStep | None) -> bool:
-        """Return whether this is not asked any more; a step after a run is, also where no more runs begin."""
+        """Return whether a step is not asked for any more; steps after runs are, also where no more runs begin."""
         is_after = step is not None and step.is_after
         return self._ongoing.is_interrupted if is_after else self._ongoing.is_ending
 

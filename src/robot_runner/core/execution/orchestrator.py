@@ -18,12 +18,12 @@ from robot_runner.core.errors import ExecutionError, Finding, RobotRunnerError, 
 from robot_runner.core.events.context import ExperimentEnd
 from robot_runner.core.events.manager import RobotRunnerEvents
 from robot_runner.core.events.measure import OPERATOR_OWNER
-from robot_runner.core.execution.begun_experiment import prepared_treatments
+from robot_runner.core.execution.before_first_run import prepared_treatments
 from robot_runner.core.execution.clock_jumps import NotedSettings
-from robot_runner.core.execution.executor import places_of
-from robot_runner.core.execution.inherited import note_open_files
+from robot_runner.core.execution.inherited_state import note_open_files
 from robot_runner.core.execution.interruption import Interruption
 from robot_runner.core.execution.left_systems import goes_on, see_to_what_others_left, told_if_refused
+from robot_runner.core.execution.local_places import places_of
 from robot_runner.core.execution.notices import (
     ExperimentFinished,
     ExperimentStarted,
@@ -34,10 +34,10 @@ from robot_runner.core.execution.notices import (
 )
 from robot_runner.core.execution.notifications import Notifications
 from robot_runner.core.execution.orchestrator_events import OngoingExperiment, OrchestratorEvents
-from robot_runner.core.execution.patience import Patience
+from robot_runner.core.execution.poll_loop import PollLoop
 from robot_runner.core.execution.probe import Probe, probe_profilers, probed_profilers
 from robot_runner.core.execution.progress_manager import ProgressManager
-from robot_runner.core.execution.recovery import Resumption
+from robot_runner.core.execution.resumption import Resumption
 from robot_runner.core.execution.side_by_side import SideBySide
 from robot_runner.core.execution.task import RunTask
 from robot_runner.core.storage.claim_locks import HeldClaims
@@ -151,7 +151,7 @@ class _Orchestrator:
         self._progress = progress
         self._interruption = interruption
         self._observer = observer
-        patience = Patience(interruption, self._refresh, observer.refresh_interval, self._tend)
+        poll_loop = PollLoop(interruption, self._refresh, observer.refresh_interval, self._tend)
         self._notifications = Notifications(experiment, progress.note)
         self._clock = NotedSettings(progress.note)
         self._started = time.monotonic()
@@ -161,9 +161,9 @@ class _Orchestrator:
         is_alone = has_one_place and self._parameters.cluster is None  # then no two runs can clash
         is_one_at_a_time = self._parameters.robots and claims.common(progress.combinations_left)
         progress.expect_places(1 if is_one_at_a_time else max(1, len(self._places.all)))
-        events = OrchestratorEvents(experiment, progress, patience)
+        events = OrchestratorEvents(experiment, progress, poll_loop)
         self._ongoing = OngoingExperiment(
-            experiment, progress, events, observer, self._notice, patience, self._clock, has_one_place=has_one_place
+            experiment, progress, events, observer, self._notice, poll_loop, self._clock, has_one_place=has_one_place
         )
         self._side_by_side = SideBySide(
             self._ongoing,
@@ -180,8 +180,7 @@ class _Orchestrator:
             self._notifications.tell_failure(_findings_of(error)[0])
             self._notifications.findings(self._interruption)
             raise
-        for each in self._clock.look():
-            self._progress.find(each)
+        self._progress.find(*self._clock.look())
         finished = self._finish_notice(findings)
         self._progress.finish(interrupted=finished.interrupted)
         self._notifications.take(finished)
@@ -227,7 +226,7 @@ class _Orchestrator:
             failed=finished.failed_count,
             todo=finished.todo_count,
             is_interrupted=finished.interrupted,
-            is_stopped_by_policy=finished.stopped_by_policy,
+            is_stopped_by_policy=bool(finished.stopped_by),
             failure=failure,
             failures=finished.failures,
             findings=finished.findings,
@@ -280,7 +279,6 @@ class _Orchestrator:
             failed=progress.failed,
             failures=progress.failures,
             interrupted=self._interruption.is_requested,
-            stopped_by_policy=bool(self._ongoing.stopped_by),
             stopped_by=self._ongoing.stopped_by,
             findings=(*findings, *progress.findings),
             seconds=time.monotonic() - self._started,
@@ -288,7 +286,7 @@ class _Orchestrator:
         )
 
     def _tend(self) -> float:
-        """Do what is due while something is awaited; return in how many seconds to call this again."""
+        """Do the work that is due during a wait; return in how many seconds to call this again."""
         if is_requested(self._stop_request) and not self._interruption.is_requested:
             self._interruption.request()  # first: the robot has to stop even if the record cannot be written
             self._progress.note("stop_requested", flush=True)

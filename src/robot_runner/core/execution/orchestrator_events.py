@@ -20,10 +20,10 @@ from robot_runner.core.events.early_end import RunInterrupted, undivided
 from robot_runner.core.events.manager import CallbackFailure, Emission, RobotRunnerEvents, Subscriber
 from robot_runner.core.events.resources import Resources
 from robot_runner.core.execution.clock_jumps import NotedSettings
-from robot_runner.core.execution.inherited import note_fresh_files, seed_random_numbers
+from robot_runner.core.execution.inherited_state import note_fresh_files, seed_random_numbers
 from robot_runner.core.execution.interruption import InterruptGate
 from robot_runner.core.execution.notices import FindingsNoticed, Notice, Observer
-from robot_runner.core.execution.patience import Patience
+from robot_runner.core.execution.poll_loop import PollLoop
 from robot_runner.core.execution.processes import forked
 from robot_runner.core.execution.progress_manager import ProgressManager
 from robot_runner.core.execution.run_events import run_contexts
@@ -97,7 +97,7 @@ class EventDeadline:
         signal.setitimer(signal.ITIMER_REAL, _SOON, min(_LONGEST, self._grace))
 
     def _watch(self) -> tuple[int, int]:
-        """Start the watcher; return its process id, and the descriptor on which it is told that the event has ended."""
+        """Start the watcher; return its process id, and a descriptor to write to once the event has ended."""
         reader, writer = os.pipe()
         watcher = forked()
         if watcher == 0:
@@ -148,24 +148,24 @@ _LOOK = 1.0
 class _AttentiveClock(SystemClock):
     """The clock of callbacks of this process: the screen is kept up to date while they sleep on it."""
 
-    def __init__(self, patience: Patience) -> None:
-        self._patience = patience
+    def __init__(self, poll_loop: PollLoop) -> None:
+        self._poll_loop = poll_loop
 
     def sleep(self, seconds: float) -> None:
         end = time.monotonic() + seconds
         while (left := end - time.monotonic()) > 0:
-            time.sleep(min(left, self._patience.refresh_interval or _LOOK))
-            self._patience.refresh_screen()
+            time.sleep(min(left, self._poll_loop.refresh_interval or _LOOK))
+            self._poll_loop.refresh_screen()
 
 
 class OrchestratorEvents:
     """Emits `before_experiment`, `before_run`, `continue` and `after_experiment`, within `event_deadline_in_s`."""
 
-    def __init__(self, experiment: Experiment, progress: ProgressManager, patience: Patience) -> None:
+    def __init__(self, experiment: Experiment, progress: ProgressManager, poll_loop: PollLoop) -> None:
         self._experiment = experiment
         self._progress = progress
-        self._patience = patience
-        self._interruption = patience.interruption
+        self._poll_loop = poll_loop
+        self._interruption = poll_loop.interruption
 
     def emit_to_run(
         self,
@@ -191,7 +191,7 @@ class OrchestratorEvents:
         def told(kind: str, fields: dict[str, Any]) -> None:
             with undivided:
                 report(kind, sentences_without_secrets(fields))  # as on the way from the process of a run
-            self._patience.refresh_screen()
+            self._poll_loop.refresh_screen()
 
         told("event", {"event": event.value, "at": utc_now(), "clock": time.monotonic()})
         if not self._experiment.events.subscribers(event):
@@ -199,7 +199,7 @@ class OrchestratorEvents:
         if event is RobotRunnerEvents.BEFORE_RUN:  # random numbers that depend on the run alone, not on the order
             seed_random_numbers(seed_of_run(task.run_seed, event.value))
         resources = Resources()
-        clock = _AttentiveClock(self._patience)
+        clock = _AttentiveClock(self._poll_loop)
         context_for = run_contexts(experiment, task, clock=clock, resources=resources, report=told)
         try:
             emission = self._emit(event, lambda owner: adapt(context_for(owner)))
@@ -327,7 +327,7 @@ class OrchestratorEvents:
 
 @dataclass(slots=True)
 class OngoingExperiment:
-    """An experiment that is being executed: what the parts of the orchestrator share.
+    """An experiment that is being executed: the state that the parts of the orchestrator share.
 
     Attributes:
         experiment: what is executed.
@@ -335,7 +335,7 @@ class OngoingExperiment:
         events: emits the events of the orchestrator.
         observer: the screen, and its keyboard.
         notify: gives a notice to the observer and to notifications.
-        patience: how the orchestrator waits.
+        poll_loop: how the orchestrator waits.
         clock: records by how much the clock of time stamps was set.
         has_one_place: whether no two runs are ever in flight together.
         stopped_by: why no more runs begin, `on_failure`, `a gate`, `a guard` or `a robot that may be moving`; those in
@@ -347,15 +347,15 @@ class OngoingExperiment:
     events: OrchestratorEvents
     observer: Observer
     notify: Callable[[Notice], None]
-    patience: Patience
+    poll_loop: PollLoop
     clock: NotedSettings
     has_one_place: bool
     stopped_by: str = ""
 
     @property
     def is_interrupted(self) -> bool:
-        """Whether the user asked for the end."""
-        return self.patience.interruption.is_requested
+        """Whether the user has interrupted."""
+        return self.poll_loop.interruption.is_requested
 
     @property
     def is_ending(self) -> bool:

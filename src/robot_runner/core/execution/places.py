@@ -1,7 +1,7 @@
 """Places: where runs are executed, such as a slot of this machine, a robot, or a worker on another machine.
 
 The orchestrator keeps as many runs in flight as there are free places whose claims do not clash. It has no threads: all
-that it waits for is *awaited* in one poll loop (`patience.py`), a run in flight like the end of a rest. So a place
+that it waits for is *awaited* in one poll loop (`poll_loop.py`), a run in flight like the end of a rest. So a place
 
 1. begins a run and returns at once with a `RunInFlight`;
 2. names descriptors that become readable when there is something to do, and the moment at which that is due at the
@@ -31,17 +31,17 @@ class Awaited(Protocol):
 
     @property
     def descriptors(self) -> Collection[int]:
-        """What becomes readable, or is hung up, when there is something to do; it may change with each `advance`."""
+        """The descriptors to poll: readable, or hung up, when `advance` has work; `advance` may change them."""
 
     @property
     def due(self) -> float | None:
         """When `advance` is to be called at the latest, on the monotonic clock (s); None for no such moment."""
 
     def advance(self) -> bool:
-        """Do what there is to do, without waiting; return whether it is over. Not called again once it is."""
+        """Do the work that is due, without waiting; return whether it is over. Not called again once it is."""
 
     def stop(self, because: str, *, is_interruption: bool = False) -> None:
-        """Let it end soon; what it has opened is closed first. Another call changes nothing.
+        """Let it close what it has opened, and end. Another call changes nothing.
 
         Args:
             because: why, in words: it becomes the reason why the run failed.
@@ -49,7 +49,7 @@ class Awaited(Protocol):
         """
 
     def kill(self) -> None:
-        """End it at once: the user has asked twice."""
+        """End it at once: the user has interrupted twice."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,7 +65,7 @@ class RunInFlight(Awaited, Protocol):
     """One attempt at a run that is being executed at a place."""
 
     def outcome(self) -> RunOutcome:
-        """Return how the attempt went, once it is over, whatever became of the run."""
+        """Return the outcome of the attempt, once it is over, however the run has ended."""
 
     def close(self) -> None:
         """Release its resources. A run that is still being executed is ended first, and awaited."""
@@ -73,7 +73,7 @@ class RunInFlight(Awaited, Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Watch:
-    """What the orchestrator wants to know and do while a run is executed.
+    """A run in flight, for the orchestrator: to wait for, to stop, and to ask for its outcome.
 
     Attributes:
         interruption: the user's, for a run that the orchestrating process executes itself.
@@ -110,7 +110,7 @@ class Place(Protocol):
     def slot(self) -> int: ...  # noqa: D102 - as above
 
     def claimed(self, claims: Collection[str], combination: Mapping[str, object]) -> frozenset[str] | None:
-        """Return what a run would hold here for itself; None where it cannot be executed here.
+        """Return the claims that a run would hold here; None where it cannot be executed here.
 
         Two runs that hold the same claim are never in flight together.
 
@@ -141,14 +141,14 @@ class Places(Protocol):
 
     @property
     def descriptors(self) -> Collection[int]:
-        """What becomes readable when places may have come or gone."""
+        """The descriptors that become readable when places may have come or gone."""
 
     @property
     def due(self) -> float | None:
         """When `advance` is to be called at the latest, on the monotonic clock (s); None for no such moment."""
 
     def advance(self, *, is_idle: bool = False) -> Sequence[str]:
-        """Update, without waiting, which places there are; return in words what a person should know.
+        """Update, without waiting, which places there are; return messages for the user.
 
         Args:
             is_idle: whether nothing is in flight or prepared, as no place can execute what is left.

@@ -14,11 +14,11 @@ from robot_runner.core.errors import ExecutionError, Finding, errors_first
 from robot_runner.core.events.context import PROBE
 from robot_runner.core.events.manager import RUN_EVENTS, EventManager, RobotRunnerEvents
 from robot_runner.core.events.measure import MeasureColumn, PublishedMeasure
-from robot_runner.core.execution.aside import executed_aside
 from robot_runner.core.execution.interruption import Interruption
-from robot_runner.core.execution.patience import Patience
 from robot_runner.core.execution.places import Watch
+from robot_runner.core.execution.poll_loop import PollLoop
 from robot_runner.core.execution.task import AttemptStatus, RunFailure, RunOutcome, RunTask, seed_of_run
+from robot_runner.core.execution.work_beside_runs import executed_beside_runs
 from robot_runner.core.links.connect import is_simulated
 from robot_runner.core.plugin import Plugin, Profiler
 from robot_runner.core.storage.lock import ExperimentLock
@@ -35,13 +35,12 @@ _WITHOUT = "Or go without the probe: --no-probe, or probe = False in the config.
 
 @dataclass(frozen=True, slots=True)
 class Probed:
-    """What was seen of one profiler.
+    """The result of probing one profiler.
 
     Attributes:
         plugin: its name.
         measures: what it published.
-        reasons: the problems of its findings.
-        fixes: the fixes of its findings, in the same order.
+        doubts: its findings.
         missing: the names of its measures where none of them has a value, else empty.
         failure: what it raised, or how the process of the probe ended.
         robot: the name of the robot with which it was tried; empty where there is only one.
@@ -49,8 +48,7 @@ class Probed:
 
     plugin: str
     measures: Mapping[str, PublishedMeasure] = field(default_factory=dict)
-    reasons: tuple[str, ...] = ()
-    fixes: tuple[str, ...] = ()
+    doubts: tuple[Finding, ...] = ()
     missing: tuple[str, ...] = ()
     failure: str = ""
     robot: str = ""
@@ -66,22 +64,23 @@ class Probed:
         if self.failure:
             yield Finding.error(where, f"the probe failed: {self.failure}", f"Look at the device. {_WITHOUT}")
         elif self.missing:
-            because = f": {'; '.join(self.reasons)}" if self.reasons else ""
-            fix = " ".join(dict.fromkeys([*filter(None, self.fixes), _WITHOUT]))
+            because = f": {'; '.join(each.problem for each in self.doubts)}" if self.doubts else ""
+            fix = " ".join(dict.fromkeys([*(each.fix for each in self.doubts if each.fix), _WITHOUT]))
             yield Finding.error(where, f"the probe got no value of {enumerated(self.missing)}{because}", fix)
         else:
-            for reason, fix in zip(self.reasons, self.fixes, strict=True):
-                yield Finding.warning(where, f"the probe is doubtful: {reason}", fix)
+            for each in self.doubts:
+                yield Finding.warning(where, f"the probe is doubtful: {each.problem}", each.fix)
 
     def fields(self) -> dict[str, Any]:
         """Return the same as plain data, for the journal."""
         values = {name: published.value for name, published in self.measures.items()}
-        return {"measures": values, "reasons": list(self.reasons), "failure": self.failure}
+        reasons = [each.problem for each in self.doubts]
+        return {"measures": values, "reasons": reasons, "failure": self.failure}
 
 
 @dataclass(frozen=True, slots=True)
 class Probe:
-    """What was seen of all profilers that were probed.
+    """The results of all profilers that were probed.
 
     Attributes:
         seconds: real time that it took.
@@ -217,12 +216,10 @@ def _probed(profiler: Profiler, experiment: Experiment, outcome: RunOutcome) -> 
         if column.owner == profiler.name and column.measure.name not in {*phases, *profiler.not_probed}
     ]
     measures = {column.name: outcome.measures[column.name] for column in columns if column.name in outcome.measures}
-    said = [each for each in outcome.findings if each.where == f"{PROBE}, {profiler.name}"]
     return Probed(
         profiler.name,
         measures,
-        tuple(each.problem for each in said),
-        tuple(each.fix for each in said),
+        tuple(each for each in outcome.findings if each.where == f"{PROBE}, {profiler.name}"),
         without_values([column for column in columns if column.is_in_table] or columns, measures),
         "; ".join(own),
     )
@@ -231,7 +228,7 @@ def _probed(profiler: Profiler, experiment: Experiment, outcome: RunOutcome) -> 
 def _tried(
     experiment: Experiment, profilers: Sequence[Profiler], window: float, task: RunTask, interruption: Interruption
 ) -> RunOutcome:
-    steps = executed_aside(
+    steps = executed_beside_runs(
         experiment,
         replace(task, run_id=PROBE),
         lambda: time.sleep(window),
@@ -240,4 +237,4 @@ def _tried(
         profilers=profilers,
         events=_PROBED,
     )
-    return Patience(interruption).follow(steps)
+    return PollLoop(interruption).follow(steps)

@@ -70,7 +70,7 @@ def is_part() -> bool:
 
 
 def begin_run_of_its_own() -> None:
-    """Note that this process is a run from now on: what it forks is forked by callbacks."""
+    """Note that this process is a run from now on: its later forks are those of callbacks."""
     _Part.is_one = False
 
 
@@ -83,14 +83,6 @@ def forked() -> int:
     parent, was = os.getpid(), _Part.is_one
     _Part.is_one = True  # before the fork: a signal may come in the first moment of the new process
     try:
-        return _forked()
-    finally:
-        if os.getpid() == parent:
-            _Part.is_one = was
-
-
-def _forked() -> int:
-    try:
         if sys.version_info < (3, 12) or threading.active_count() > 1:
             return os.fork()
         # Python counts the threads of C libraries (OpenBLAS), too, and warns; these libraries can be forked.
@@ -99,6 +91,9 @@ def _forked() -> int:
             return os.fork()
     except OSError as error:
         raise no_process(error) from error
+    finally:
+        if os.getpid() == parent:
+            _Part.is_one = was
 
 
 #: The fix where the system has no process, descriptor or memory left.
@@ -115,7 +110,7 @@ def no_process(error: OSError, purpose: str = "the run") -> ExecutionError:
 
 @contextmanager
 def needed_process(purpose: str) -> Iterator[None]:
-    """Turn the refusal of another process into the error that says so.
+    """Raise an error with a fix where the system refuses to fork another process.
 
     Raises:
         ExecutionError: the system has no process, descriptor or memory left for it.

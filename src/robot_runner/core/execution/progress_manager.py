@@ -15,15 +15,15 @@ from robot_runner.core.config.treatment_makers import PREPARED, known_treatments
 from robot_runner.core.design.batches import described_design
 from robot_runner.core.design.factor import texts_of
 from robot_runner.core.errors import Finding, StorageError
-from robot_runner.core.execution.begun_experiment import begun_manifest, made_folder, refuse_unfit_treatments
-from robot_runner.core.execution.circumstances import keep_config
+from robot_runner.core.execution.before_first_run import begun_manifest, made_folder, refuse_unfit_treatments
 from robot_runner.core.execution.deciding import Deciding, Growth
 from robot_runner.core.execution.durations import Durations, TimeLeft, durations_of
 from robot_runner.core.execution.left_systems import see_to_what_is_left, told_if_refused
+from robot_runner.core.execution.manifest_content import keep_config
 from robot_runner.core.execution.notices import NextDecided
 from robot_runner.core.execution.probe import Probe
 from robot_runner.core.execution.recovered_table import RecoveredTable, TableOnDisk
-from robot_runner.core.execution.recovery import Resumption, selected_places, with_session_warm_ups
+from robot_runner.core.execution.resumption import Resumption, selected_places, with_session_warm_ups
 from robot_runner.core.execution.run_facts import (
     CALLED,
     ReportedFacts,
@@ -201,7 +201,7 @@ class ProgressManager:
 
     @property
     def findings(self) -> tuple[Finding, ...]:
-        """What looked odd in the table on disk and in the runs."""
+        """Findings on the table on disk and on the runs."""
         return (*self._findings, *self._unread.findings)
 
     @property
@@ -220,7 +220,7 @@ class ProgressManager:
         self._durations.expect_again(self._rows.combination(run.place) for run in again)
 
     def pending(self, first: int = 0) -> Iterator[PendingRun]:
-        """Yield the runs to execute, from number `first` on: those to do, those that failed, those asked for again."""
+        """Yield the runs to execute, from number `first` on: those to do, failed ones, those requested again."""
         return (PendingRun(self._rows.run_id(place), place) for place in self._selected[first:])
 
     def decide(self) -> NextDecided | None:
@@ -229,8 +229,8 @@ class ProgressManager:
         Returns:
             what was decided and why; None where nothing is to be decided, or runs are left to do.
         """
-        is_partial = self._resumption.only or self._resumption.skip or self.todo_count
-        return None if is_partial else self._deciding.decide(self, self._table)
+        is_of_part = bool(self._resumption.only or self._resumption.skip)
+        return None if self.todo_count else self._deciding.decide(self, self._table, is_of_part=is_of_part)
 
     def grow(self, growth: Growth) -> None:
         """Add runs that were decided on, and record why."""
@@ -324,7 +324,7 @@ class ProgressManager:
         return self._unread.take(task, outcome)
 
     def amend_outcome(self, task: RunTask, before: RunOutcome, later: RunOutcome) -> RunOutcome:
-        """Record what came after an attempt's end (measures, findings, the stamp of `continue`); return the whole."""
+        """Record later measures, findings and the time stamp of `continue` of an attempt; return its whole outcome."""
         found = later.findings[len(before.findings) :]
         if (later.measures, later.stamps) == (before.measures, before.stamps) and not found:
             return before
@@ -355,9 +355,9 @@ class ProgressManager:
         """Write the run table if that is due, while a run or a wait lasts; see `TableOnDisk.tend`."""
         return self._file.tend()
 
-    def find(self, finding: Finding) -> None:
-        """Keep a finding for the end of the experiment."""
-        self._findings.append(finding)
+    def find(self, *findings: Finding) -> None:
+        """Keep findings for the end of the experiment."""
+        self._findings += findings
 
     def bring_table_up_to_date(self) -> None:
         """Write the run table as it stands: a callback of `after_experiment` may read it."""

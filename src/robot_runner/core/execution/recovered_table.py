@@ -16,8 +16,8 @@ from typing import Any
 from robot_runner.core.config.experiment import Experiment
 from robot_runner.core.design.run_table_model import RunTable
 from robot_runner.core.errors import Finding, StorageError
-from robot_runner.core.execution.task import AttemptStatus, RunOutcome
-from robot_runner.core.storage.cells import ENDS
+from robot_runner.core.events.measure import QUALITY_SUFFIX, quality_text
+from robot_runner.core.execution.task import RunOutcome
 from robot_runner.core.storage.executed_runs import ACCEPTED_PLAN, DONE_BEFORE, EXCLUSION_KINDS, ExcludedRuns
 from robot_runner.core.storage.journal import Journal, journal_lines, parsed_record, utc_now
 from robot_runner.core.storage.layout import put_attempt_back, runs_put_away
@@ -42,7 +42,7 @@ _IS_DONE, _IS_INTERRUPTED, _HAS_DOUBTS = b'"status":"done"', b'"status":"interru
 
 @dataclass(slots=True)
 class TableHistory:
-    """What the journal tells of runs and of the file of the run table.
+    """The records of the journal on runs and on the file of the run table.
 
     Attributes:
         attempted: the run of each attempt.
@@ -125,7 +125,7 @@ def run_of(journal: Path, line: bytes) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Deviation:
-    """A change that was made by hand to what was executed.
+    """A change by hand to a run that was executed.
 
     Attributes:
         run: its id.
@@ -202,7 +202,7 @@ class RecoveredTable:
     reasons: defaultdict[str, dict[str, tuple[str, ...]]] = field(default_factory=lambda: defaultdict(dict))
 
     def take_column(self, column: ColumnDescription, attempted: Container[str]) -> None:
-        """Take what the schema says of the values of a column, except of runs that were attempted since."""
+        """Take the schema's facts on the values of a column, except for runs that were attempted since."""
         self.origins[column.name].update(column.origin.split(", ") if column.origin else ())
         self.reasons[column.name].update((run, why) for run, why in column.doubts.items() if run not in attempted)
         self.doubts[column.owner].update(column.findings)
@@ -222,11 +222,10 @@ class RecoveredTable:
     def take_record(self, record: Mapping[str, Any]) -> None:
         """Update the row of a run by the journal's record of an attempt's end."""
         self.take_circumstances(record)
-        values = {name: measure["value"] for name, measure in record["measures"].items()}
-        self._record(record["run"], record["status"], record["stamps"], values)
+        self.rows.take_end(record)
 
     def take_circumstances(self, record: Mapping[str, Any]) -> None:
-        """Remember where the measures of an attempt came from and what makes them doubtful, as the journal says."""
+        """Remember the sources of an attempt's measures, and the doubts about them, by the journal."""
         for name, measure in record["measures"].items():
             self.origins[name].add(measure["origin"])
         for by_run in self.reasons.values():
@@ -236,7 +235,7 @@ class RecoveredTable:
                 self.reasons[name][record["run"]] = tuple(doubts)
 
     def changed_units(self, schema: Iterable[ColumnDescription], path: Path) -> Iterator[Finding]:
-        """Yield an error for each column whose values would be said to be in another unit than when they were taken.
+        """Yield an error for each column whose unit differs from that in which its values were taken.
 
         Args:
             schema: the columns as they were.
@@ -263,13 +262,26 @@ class RecoveredTable:
         """
         folder = self.experiment.folder
         for run_id in runs_put_away(folder):
-            place = self.rows.place_of(run_id)
-            has_ended = place is not None and self.rows.status(place) in ENDS.values()
-            if has_ended and put_attempt_back(folder, run_id, self.attempts[run_id]):
+            if self.rows.has_ended(run_id) and put_attempt_back(folder, run_id, self.attempts[run_id]):
                 yield run_id
 
+    def requalified(self, changed: Iterable[Deviation]) -> list[Deviation]:
+        """Have the quality columns follow values that were emptied or filled in by hand; return what that changed."""
+        found, by_hand = [], {(each.run, each.column): each for each in changed}
+        for (run_id, name), each in by_hand.items():
+            column, place = f"{name}{QUALITY_SUFFIX}", self.rows.place_of(run_id)
+            if column not in self.rows.layout.measures or place is None or (run_id, column) in by_hand:
+                continue
+            if bool(each.was) is not bool(each.is_now):
+                was = str(self.rows.row(place)[column] or "")
+                reason = was.partition(": ")[2]
+                is_now = quality_text(each.is_now or None, [reason] if reason else [])
+                self.rows.record(run_id, measures={column: is_now})
+                found.append(Deviation(run_id, column, was, is_now))
+        return found
+
     def keep_deviations(self, journal: Journal, manifest: dict[str, Any]) -> None:
-        """Record what was changed by hand: in the journal, and for readers of the manifest."""
+        """Record changes by hand: in the journal, and for readers of the manifest."""
         if self.done_before:
             manifest["design"][DONE_BEFORE] = self.done_before
         if self.accepted_plan:
@@ -284,20 +296,6 @@ class RecoveredTable:
     def write_schema(self, path: Path) -> None:
         """Write the run table's schema as far as it is known."""
         write_schema(path, describe_columns(self.rows, self._known()))
-
-    def _record(self, run_id: str, status: str, stamps: Mapping[str, str], measures: Mapping[str, Any]) -> None:
-        if status == AttemptStatus.INTERRUPTED.value:
-            self.rows.clear(run_id)
-            return
-        self.rows.take_former(run_id, measures)
-        self.rows.record(
-            run_id,
-            status=ENDS[status],
-            stamps={
-                name: stamp for event, stamp in stamps.items() if (name := f"{event}_at") in self.rows.layout.stamps
-            },
-            measures={name: value for name, value in measures.items() if name in self.rows.layout.measures},
-        )
 
     def _known(self) -> dict[str, ColumnDescription]:
         return {

@@ -83,7 +83,7 @@ class RunEnding:
         self._gate.end_run(RunFailed(problem))
 
     def record(self, event: str, owner: str, error: BaseException) -> None:
-        """Record what a callback raised; what `fail` and `stop_mission` raise in it is recorded already."""
+        """Record the exception of a callback, except those of `fail` and `stop_mission`, recorded already."""
         told = RunInterrupted if self._has_told_held_up else RunFailed | MissionStopped
         if not isinstance(error, told):
             self._write(event, owner, failure_fields(error))
@@ -102,7 +102,7 @@ class RunEnding:
             _thread.start_new_thread(self._tell, ())
 
     def _tell(self) -> None:
-        """Record what held the request to end up, once: at the latest before the run says that it is over."""
+        """Record, once, what delayed the end of the run: at the latest before its last record."""
         with self._telling:
             while self._held_up:
                 self._write(*self._held_up.pop())
@@ -129,7 +129,7 @@ class RunEnding:
             tell(raised.exc_value, where)
 
     def _find(self, error: BaseException, where: str) -> None:
-        """Record as a finding what a thread raised during closing, or after its run, which may be the cause."""
+        """Record as a finding the exception of a thread during closing, or after its run: it may be the cause."""
         if threading.current_thread() in _left_over:
             where += " of an earlier run"
         problem = f"{where} raised {type(error).__name__}: {text_of(error)}"

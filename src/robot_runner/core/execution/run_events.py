@@ -1,4 +1,4 @@
-"""One run: its six events, and closing what they have opened, whatever fails in between."""
+"""One run: its six events. A closing event follows what an opening event reached, whatever fails in between."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from robot_runner.core.events.measure_broker import MeasureBroker
 from robot_runner.core.events.resources import Resources, closing_left_open
 from robot_runner.core.events.window import MissionTimes
 from robot_runner.core.execution.clock_jumps import CLOCKS, ClockJumps, told_setting
-from robot_runner.core.execution.inherited import seed_random_numbers
+from robot_runner.core.execution.inherited_state import seed_random_numbers
 from robot_runner.core.execution.interruption import InterruptGate
 from robot_runner.core.execution.run_ending import RunEnding
 from robot_runner.core.execution.systems_state import Care, SystemsState
@@ -41,8 +41,7 @@ def execute_run(
 
     Nothing is raised: a failure is a record like any other. What was opened is closed, systems are made safe.
     """
-    run = _Run(experiment, task, report, gate, systems)
-    run.execute()
+    _Run(experiment, task, report, gate, systems).execute()
 
 
 def has_standby(experiment: Experiment) -> bool:
@@ -218,7 +217,7 @@ class _Run:
 
     @contextmanager
     def _between(self, opening: RobotRunnerEvents) -> Iterator[None]:
-        """Emit an opening event, and the event that closes it, whatever happens in between."""
+        """Emit an opening event, and afterwards its closing event, whatever fails in between."""
         emission = self._emit(opening)
         try:
             yield
@@ -243,7 +242,7 @@ class _Run:
                 publish_returned(self._context_for(owner), returned)
 
     def _miss_phases(self) -> None:
-        """Warn of phases whose measures the config asks for, and that the mission did not have."""
+        """Warn of phases that the mission did not have, and whose measures the config requests."""
         context = self._context_for(CONFIG_OWNER)
         there = dict.fromkeys(phase.name for phase in context.phases)
         for name in context.times.requested:
@@ -299,7 +298,7 @@ def made_safe(system: System, context: RobotRunnerContext) -> None:
 
 
 def publish_returned(context: RobotRunnerContext, returned: object) -> None:
-    """Publish what a `populate_run_data` callback returned; it adds to and overrides what was published.
+    """Publish the measures that a `populate_run_data` callback returned; they may replace those published before.
 
     Raises:
         MeasureError: it is not a mapping, or one of its entries is refused; all of them are named.

@@ -9,14 +9,15 @@ from dataclasses import dataclass
 from itertools import chain
 from typing import Any
 
+from robot_runner.core.design.design import HeldOrder
 from robot_runner.core.errors import ExecutionError, Finding
 from robot_runner.core.events.measure import ROBOT
 from robot_runner.core.execution.attempts import Attempts
-from robot_runner.core.execution.left_over import forget_runs_elsewhere, runs_elsewhere
-from robot_runner.core.execution.mission_knowledge import combination_key
+from robot_runner.core.execution.known_durations import combination_key
+from robot_runner.core.execution.left_processes import forget_runs_elsewhere, runs_elsewhere
 from robot_runner.core.execution.orchestrator_events import OngoingExperiment
-from robot_runner.core.execution.patience import Pause, Steps
 from robot_runner.core.execution.places import Awaited, Place, Places
+from robot_runner.core.execution.poll_loop import Pause, Steps
 from robot_runner.core.execution.task import AttemptStatus, PendingRun, RunOutcome, RunTask
 from robot_runner.core.storage.cells import RunStatus
 from robot_runner.core.storage.run_table_rows import RunTableRows
@@ -34,7 +35,7 @@ class _Busy:
     Attributes:
         holds: the claims of the run.
         task: the run with its treatments.
-        steps: of the run, see `patience.py`.
+        steps: of the run, see `poll_loop.py`.
         awaited: what it waits for now.
     """
 
@@ -63,6 +64,7 @@ class SideBySide:
         self._places = places
         self._claims = claims
         self._attempts = Attempts(ongoing)
+        self._held = HeldOrder.of_facts(ongoing.experiment.model.design_facts)
         self._turns = _Turns() if ongoing.experiment.parameters.robots else None
         self._busy: list[_Busy] = []
         self._finished: dict[str, PendingRun] = {}
@@ -80,7 +82,7 @@ class SideBySide:
         """
         if not self._begun:
             self._await_elsewhere()
-            self._ongoing.patience.follow(self._attempts.ask_about_earlier())
+            self._ongoing.poll_loop.follow(self._attempts.ask_about_earlier())
         self._left = self._progress.pending(self._begun)
         self._may_begin = True
         if self._turns is not None:
@@ -110,7 +112,7 @@ class SideBySide:
         for each in found:
             ongoing.find(each.finding)
         pause = Pause(max(each.seconds for each in found))
-        while not ongoing.patience.turn([pause]):
+        while not ongoing.poll_loop.turn([pause]):
             pass
         if not ongoing.is_interrupted:
             forget_runs_elsewhere(folder)
@@ -145,15 +147,14 @@ class SideBySide:
 
     def _has_to_wait(self, task: RunTask, place_in_queue: int) -> bool:
         """Return whether by the design this run waits for one that is in flight, or for an earlier one that waits."""
-        held = self._attempts.held
-        if held.is_open:
+        if self._held.is_open:
             return False
         waiting = (self._progress.task_of(self._passed_over[place]) for place in range(place_in_queue))
         before = chain((each.task for each in self._busy), waiting)
-        return any(held.waits_for(task.combination, each.combination) for each in before)
+        return any(self._held.waits_for(task.combination, each.combination) for each in before)
 
     def _suitable(self, free: Sequence[Place], task: RunTask) -> Iterator[tuple[Place, frozenset[str]]]:
-        """Yield the free places where a run can begin now, and what it would hold there."""
+        """Yield the free places where a run can begin now, and the claims that it would hold there."""
         claims: dict[str | None, frozenset[str]] = {}
         for place in free:
             if (robot := place.experiment.parameters.robot) not in claims:
@@ -200,7 +201,7 @@ class SideBySide:
 
     def _await(self) -> None:
         """Wait until runs in flight can go on, and resume their steps."""
-        over = self._ongoing.patience.turn([each.awaited for each in self._busy], self._places)
+        over = self._ongoing.poll_loop.turn([each.awaited for each in self._busy], self._places)
         self._take_note_of_places()
         for each in [each for each in self._busy if each.awaited in over]:
             try:
@@ -212,7 +213,7 @@ class SideBySide:
                     self._passed_over.appendleft(each.run)
 
     def _await_place(self) -> None:
-        """Wait for a place that can execute what is left, while nothing is in flight.
+        """Wait for a place that can execute one of the runs left, while none is in flight.
 
         Raises:
             ExecutionError: none can come.
@@ -223,14 +224,15 @@ class SideBySide:
                 where=self._passed_over[0].run_id,
                 fix="See to the robots or workers that were set aside, and start the experiment again: it resumes.",
             )
-        self._ongoing.patience.turn([], self._places)
+        self._ongoing.poll_loop.turn([], self._places)
         self._take_note_of_places(is_idle=True)
 
     def _take_note_of_places(self, *, is_idle: bool = False) -> None:
         if not (self._places.descriptors or self._places.due is not None):
             return
         for problem in self._places.advance(is_idle=is_idle):
-            self._attempts.tell_of_place(problem)
+            self._progress.note("place", problem=problem)
+            self._ongoing.find(Finding.warning("places", problem))
         there = [each for each in self._places.all if not each.is_unavailable]
         if there != self._there:
             self._may_begin, self._there = True, there
@@ -256,7 +258,7 @@ class _Turns:
         self._failed: defaultdict[str, list[PendingRun]] = defaultdict(list)
 
     def plan(self, rows: RunTableRows, to_do: Container[int]) -> None:
-        """Count what is planned and what each robot has done, without runs that are executed again.
+        """Count the planned runs, and those done by each robot, without runs that are executed again.
 
         Failures in a row are not reset: an adaptive design adds runs one by one, each with a plan.
         """

@@ -22,7 +22,7 @@ from robot_runner.core.config.experiment import Experiment
 from robot_runner.core.errors import LinkError, StorageError
 from robot_runner.core.events.context import SystemClock
 from robot_runner.core.events.measure import CONFIG_OWNER
-from robot_runner.core.execution.left_over import end_left_over
+from robot_runner.core.execution.left_processes import end_left_processes
 from robot_runner.core.execution.processes import (
     await_an_end,
     await_end,
@@ -154,7 +154,7 @@ class Standby:
         return False
 
     def finding(self) -> dict[str, Any] | None:
-        """Return the fields of a finding on what became of the systems; None where the run made them safe itself."""
+        """Return the fields of a finding on the state of the systems; None where the run made them safe itself."""
         care, names = self.state.care, enumerated([each.name for each in self.systems]) or "the robot"
         if care in {Care.NOBODY_YET, Care.SAFE}:
             return None
@@ -186,7 +186,7 @@ class Standby:
             os._exit(0)
 
     def _prepare(self, connection: _Connection) -> None:
-        """Import what the link needs, join the robot's graph where that takes long, and have the systems prepare."""
+        """Import the link's modules, join the robot's graph where that takes long, and have the systems prepare."""
         with suppress(Exception):  # the run fails for the same reason, and reports it
             preload_robot(self._experiment.parameters.robot)
             join_beforehand(connection.contexts(CONFIG_OWNER))
@@ -217,7 +217,7 @@ class Standby:
             except Exception:  # noqa: BLE001 - the connection may have been lost: what fails again is reported
                 doubts = self._make_safe_anew(deadline)
             # Programs that take longer to end may have commanded the robot since, and nobody else is left to end them.
-            if os.getppid() != self._parent and end_left_over(self._experiment.folder):
+            if os.getppid() != self._parent and end_left_processes(self._experiment.folder):
                 doubts = self._make_safe_anew(deadline)
         except BaseException as error:  # noqa: BLE001 - whatever it is, a person must know that the robot was not stopped
             self.state.set(Care.OUT_OF_REACH, failure_fields(error)["problem"])
@@ -238,7 +238,7 @@ class Standby:
             time.sleep(_AGAIN)
 
     def _make_safe(self, connection: _Connection) -> list[str]:
-        """Stop the robot on each topic, make each system safe, and stop the robot again, whatever fails of that.
+        """Stop the robot on each topic, make each system safe, and stop the robot again; a failure skips no step.
 
         Returns:
             what remains doubtful: topics without a subscriber, and what systems warn of.

@@ -10,7 +10,7 @@ import time
 from contextlib import suppress
 
 from robot_runner.core.errors import ExecutionError, Finding
-from robot_runner.core.execution.left_over import has_locked
+from robot_runner.core.execution.left_processes import has_locked
 from robot_runner.core.storage.guarded_files import MissingFileError, open_descriptor, remove
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.lock_files import open_to_lock, was_open_to_strangers

@@ -40,7 +40,7 @@ _STOPPED = sorted(VELOCITIES)
 
 
 class Care(IntEnum):
-    """Who is responsible for a run's systems, or what has become of them."""
+    """The process that is responsible for a run's systems, or their final state."""
 
     NOBODY_YET = 0
     RUN = 1
@@ -66,7 +66,7 @@ class SystemsState:
 
     @property
     def care(self) -> Care:
-        """Who is responsible for the systems now."""
+        """The process that is responsible for the systems now."""
         return Care((os.pread(self.descriptor, 1, 0) or b"\0")[0])
 
     @property
@@ -90,7 +90,7 @@ class SystemsState:
                 self.set(Care.RUN)
 
     def set(self, care: Care, reason: str = "") -> None:
-        """Set who is responsible from now on."""
+        """Set the process that is responsible from now on."""
         os.pwrite(self.descriptor, reason.encode("utf-8", "backslashreplace")[:_REASON].ljust(_REASON, b"\0"), 1)
         os.pwrite(self.descriptor, bytes([care]), 0)
 
@@ -128,7 +128,7 @@ class LeftSystems:
 
 @dataclass(frozen=True, slots=True)
 class LeftCopy:
-    """What a run of this user has left on this machine, kept apart from its experiment's folder.
+    """A copy of a run's `LeftSystems`, in a file of this user outside the experiment's folder.
 
     Attributes:
         path: where it is.
@@ -147,7 +147,7 @@ class LeftCopy:
 
 
 def left_copies() -> list[LeftCopy]:
-    """Return the copies of all files of this user that tell of a robot which may be moving."""
+    """Return the copies of all files of this user about robots that may be moving."""
     found = []
     with suppress(StorageError):  # a user without a home folder has none
         for path in sorted(state_folder(_COPIES).glob("*")):
@@ -159,7 +159,7 @@ def left_copies() -> list[LeftCopy]:
 
 
 class SystemsFile:
-    """A file that tells the next execution which systems of a run are not safe yet; it is removed once they are.
+    """A file for the next execution: the systems of a run that are not safe yet; it is removed once they are.
 
     Where it cannot be written, the run goes on without it: it is needed only where keeper, standby and orchestrator are
     killed with the run.

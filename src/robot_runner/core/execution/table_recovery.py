@@ -28,7 +28,7 @@ from robot_runner.core.execution.recovered_table import (
     run_of,
     with_later_batches,
 )
-from robot_runner.core.execution.recovery import (
+from robot_runner.core.execution.resumption import (
     Resumption,
     TableChoice,
     TableDisagreementError,
@@ -53,10 +53,11 @@ from robot_runner.core.storage.guarded_files import (
     open_to_read,
     open_to_write,
     read_blocks,
+    sha256_of,
 )
 from robot_runner.core.storage.journal import journal_lines, parsed_record
 from robot_runner.core.storage.layout import next_in
-from robot_runner.core.storage.run_table_reading import digest_of, read_run_table
+from robot_runner.core.storage.run_table_reading import read_run_table
 from robot_runner.core.storage.run_table_rows import RunTableRows
 from robot_runner.core.storage.table_columns import ColumnDescription, TableLayout, former_measures
 from robot_runner.core.storage.table_schema import read_schema
@@ -153,7 +154,7 @@ class _Recovery:
         by_hand: tuple[Deviation, ...] = ()
         if not self._is_by_hand and self._choice is not TableChoice.JOURNAL:
             table.accepted_plan, by_hand = self._accepted(rows)
-        if self._history.has_ends and digest_of(self._path) != self._history.written:
+        if self._history.has_ends and sha256_of(self._path) != self._history.written:
             self._reconcile(table)
         else:
             self._leave_out(table)
@@ -164,15 +165,15 @@ class _Recovery:
         return self._with_order(table)
 
     def _accepted(self, rows: RunTableRows) -> tuple[str, tuple[Deviation, ...]]:
-        """Return what the user accepts now: the digest of a plan from which the table differs, and what was edited.
+        """Return what the user accepts now: the digest of a plan from which the table differs, and edited cells.
 
         Raises:
             ExecutionError: the table differs from the plan, and that is not accepted.
         """
         if next(table_differences(self._path, self._plan, rows), None) is None:  # as nearly always
             return "", ()
-        plan, is_ours = plan_digest(self._plan), self._history.written == digest_of(self._path)
-        if self._accepts_changes:
+        plan, is_ours = plan_digest(self._plan), self._history.written == sha256_of(self._path)
+        if self._accepts_changes or (self._choice is TableChoice.FILE and not is_ours):
             return plan, () if is_ours else tuple(planned_otherwise(self._plan, rows, *self._last_ends()))
         if not is_ours or plan != self._manifest["design"].get(ACCEPTED_PLAN):
             accepted = {(*cell, is_now) for cell, is_now in self._last_ends()[1].items()}
@@ -215,9 +216,7 @@ class _Recovery:
         newer = self._history.begun.union(run_of(self._journal, line) for line in self._history.newer)
         found: list[Deviation] = []
         for run_id, line in ends.items():
-            place = table.rows.place_of(run_id)
-            has_come = place is not None and table.rows.status(place) in {RunStatus.DONE, RunStatus.FAILED}
-            if run_id in newer and not has_come:
+            if run_id in newer and not table.rows.has_ended(run_id):
                 continue  # it ended after the file was written, or is to be done again: `_add_newer`, `_settle`
             found += cell_deviations(table.rows, parsed_record(self._journal, line), earlier)
         treatments = list(self._changed_treatments(table.rows, earlier))
@@ -228,7 +227,7 @@ class _Recovery:
         if self._choice is None:
             refuse_differences(deviation_findings(self._path, found, Severity.ERROR, _CHOOSE), TableDisagreementError)
         if self._choice is TableChoice.FILE:
-            table.deviations = tuple(found)
+            table.deviations = (*found, *table.requalified(found))
             table.findings = (*table.findings, *deviation_findings(self._path, found, Severity.WARNING))
         elif treatments or any(each.column == ROW for each in found):
             had = "had other treatments than" if treatments else "lacked runs that"
@@ -321,9 +320,8 @@ class _Recovery:
     def _add_newer(self, table: RecoveredTable) -> None:
         last_ends = {run_of(self._journal, line): line for line in self._history.newer}
         for run_id, line in last_ends.items():
-            place = table.rows.place_of(run_id)
-            has_come = place is not None and table.rows.status(place) in {RunStatus.DONE, RunStatus.FAILED}
-            if place is not None and not (has_come and table.deviations):
+            is_there = table.rows.place_of(run_id) is not None
+            if is_there and not (table.deviations and table.rows.has_ended(run_id)):
                 table.take_record(parsed_record(self._journal, line))
         table.is_on_disk &= not last_ends and not table.rows.count(RunStatus.RUNNING)
 

@@ -119,6 +119,7 @@ class RunOutcome:
     Attributes:
         stamps: UTC time of each event's emission, by the event's name.
         measures: what was published, by column.
+        doubts: what is doubtful about columns that were not published, by column: for what comes after the run.
         failure: the first thing that went wrong, if any did.
         later_failures: what went wrong after that, during closing.
         readers: the owners that read the treatment of a factor, or have a parameter bound to it, by factor.
@@ -129,6 +130,7 @@ class RunOutcome:
     status: AttemptStatus
     stamps: Mapping[str, str] = field(default_factory=dict)
     measures: Mapping[str, PublishedMeasure] = field(default_factory=dict)
+    doubts: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     findings: tuple[Finding, ...] = ()
     failure: RunFailure | None = None
     later_failures: tuple[RunFailure, ...] = ()
@@ -152,6 +154,7 @@ class RunOutcome:
             "seconds": round(self.seconds, 6),
             "stamps": dict(self.stamps),
             "measures": measures,
+            **({"doubts": {name: list(doubts) for name, doubts in self.doubts.items()}} if self.doubts else {}),
             "failure": str(self.failure) if self.failure else None,
             **({"is_lost": True} if self.is_lost else {}),
             "readers": dict(self.readers),
@@ -167,8 +170,9 @@ class RunOutcome:
             for name, each in fields["measures"].items()
         }
         readers = {factor: tuple(owners) for factor, owners in (fields.get("readers") or {}).items()}
+        doubts = {name: tuple(each) for name, each in (fields.get("doubts") or {}).items()}
         status, seconds = AttemptStatus(fields["status"]), fields["seconds"] or 0.0
-        return cls(status, dict(fields["stamps"]), measures, readers=readers, seconds=seconds)
+        return cls(status, dict(fields["stamps"]), measures, doubts, readers=readers, seconds=seconds)
 
 
 class OutcomeBuilder:
@@ -236,8 +240,11 @@ class OutcomeBuilder:
         self._stamps.update(outcome.stamps)
         self._measures.update(outcome.measures)
         self._findings += outcome.findings
-        for name, measure in outcome.measures.items():
-            self._doubts[name] += measure.doubts
+        for name, doubts in (
+            *outcome.doubts.items(),
+            *((name, each.doubts) for name, each in outcome.measures.items()),
+        ):
+            self._doubts[name] += doubts
 
     def outcome(self, *, ended_because: str = "", interrupted: bool = False) -> RunOutcome:
         """Return how the attempt went.
@@ -248,9 +255,7 @@ class OutcomeBuilder:
         """
         failures = list(self._failures)
         if ended_because:
-            failures = (
-                [self._ended(ended_because, failures), *failures[1:]] if failures else [self._ended(ended_because, [])]
-            )
+            failures[:1] = [self._ended(ended_because, failures)]
         measures = self._qualified_measures()
         if not (failures or interrupted) and self._refuses_bad_values:
             failures = list(self._bad_values(measures))
@@ -259,6 +264,9 @@ class OutcomeBuilder:
             status=status,
             stamps=self._stamps,
             measures=measures,
+            doubts={
+                name: tuple(dict.fromkeys(each)) for name, each in self._doubts.items() if each and name not in measures
+            },
             findings=tuple(self._findings),
             failure=failures[0] if failures else None,
             later_failures=tuple(failures[1:]),
@@ -277,6 +285,8 @@ class OutcomeBuilder:
                 measures[column.name] = replace(published, doubts=doubts) if doubts else published
         for column in self._columns.in_table:
             told, doubts = measures.get(column.tells_of), tuple(dict.fromkeys(self._doubts[column.tells_of]))
+            if column.owner == OPERATOR_OWNER:  # nobody was asked, whatever else is doubtful about the run
+                doubts = ()
             # Where nothing is published in `continue` either, the earlier reasons stay.
             if column.tells_of and (told is not None or doubts or column.name not in measures):
                 text = quality_text(None, doubts) if told is None else quality_text(told.value, told.doubts)

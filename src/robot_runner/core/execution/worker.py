@@ -24,9 +24,9 @@ from robot_runner.core.config.preparation import prepare_or_refuse
 from robot_runner.core.design.factor import Factor
 from robot_runner.core.design.revision import Revision
 from robot_runner.core.errors import ConfigError
-from robot_runner.core.execution.inherited import freeze_inherited, write_open_files
+from robot_runner.core.execution.inherited_state import freeze_inherited, write_open_files
 from robot_runner.core.execution.interruption import STOP_SIGNALS, InterruptGate
-from robot_runner.core.execution.left_over import RunMark, end_left_over
+from robot_runner.core.execution.left_processes import RunMark, end_left_processes
 from robot_runner.core.execution.processes import leave_after, settle_streams
 from robot_runner.core.execution.run_events import execute_run, has_standby, systems_of_standby
 from robot_runner.core.execution.run_facts import notice_programs
@@ -60,14 +60,13 @@ def become_interpreter(
     inherited = [report.descriptor, *([] if systems is None else [systems.descriptor]), *claims]
     for descriptor in inherited:
         os.set_inheritable(descriptor, True)  # noqa: FBT003 - the system's own signature
+    # In a replication, the config lies in the package, and the results go elsewhere.
+    settings = {**experiment.overrides, "results_output_path": str(experiment.folder.root.parent)}
+    if experiment.parameters.robots and experiment.parameters.robot is not None:
+        settings["robot"] = experiment.parameters.robot  # that of the run's place, where several take turns
     description = {
         "config": str(experiment.config_path),
-        # In a replication, the config lies in the package, and the results go elsewhere.
-        "set": {
-            **experiment.overrides,
-            "results_output_path": str(experiment.folder.root.parent),
-            **_own_robot(experiment),
-        },
+        "set": settings,
         "task": described_task(experiment, task),
         "revisions": describe_revisions(experiment.model.factors),
         "records": report.descriptor,
@@ -84,12 +83,6 @@ def become_interpreter(
         os.execv(sys.executable, [sys.executable, "-P", "-m", _MODULE, str(file.fileno())])  # noqa: S606 - our own program
 
 
-def _own_robot(experiment: Experiment) -> dict[str, str]:
-    """Return the setting of the robot of the run's place, where several take turns."""
-    robot = experiment.parameters.robot
-    return {"robot": robot} if experiment.parameters.robots and robot is not None else {}
-
-
 def _execute(experiment: Experiment, task: RunTask, systems: SystemsState | None, report: RecordWriter) -> None:
     gate = InterruptGate()
     gate.listen()
@@ -102,7 +95,7 @@ def _execute(experiment: Experiment, task: RunTask, systems: SystemsState | None
         report("failure", {"event": "", "owner": "", "problem": problem, "traceback": ""})
     report(FINISHED, {})
     if os.getppid() != keeper:  # the keeper was killed, and cannot end what the run leaves behind
-        end_left_over(experiment.folder)
+        end_left_processes(experiment.folder)
 
 
 @contextmanager

@@ -54,7 +54,7 @@ def state_folder(name: str) -> Path:
 
 @dataclass(frozen=True, slots=True)
 class ClaimHolder:
-    """Who has claimed something: the experiment, its folder, its process, and since when (UTC).
+    """The holder of a claim: the experiment, its folder, its process, and since when (UTC).
 
     Attributes:
         before: the folders of earlier holders that were killed and may have left something.
@@ -80,7 +80,7 @@ class ClaimHolder:
 
 
 def claim_holders(claims: Collection[str]) -> dict[str, ClaimHolder]:
-    """Return who holds which of these claims at this moment, without changing anything."""
+    """Return the holders of these claims at this moment, without changing anything."""
     found: dict[str, ClaimHolder] = {}
     for claim in sorted(claims):
         with suppress(StorageError, OSError):
@@ -159,12 +159,12 @@ class HeldClaims:
         self._held.close()
 
     def forget_earlier(self) -> None:
-        """Forget earlier holders: what they had left was cleaned up, and the next holder need not look at it."""
+        """Forget earlier holders: their processes and robots were seen to, and the next holder need not."""
         for descriptor in self._descriptors:
             self._sign(descriptor, ())
 
     def _take_all(self) -> list[Finding]:
-        """Take all claims, or none, and return who holds them."""
+        """Take all claims, or none, and return their holders."""
         self.findings.clear()
         self._descriptors.clear()
         with ExitStack() as opened:
@@ -176,7 +176,7 @@ class HeldClaims:
             return refusals
 
     def _overlapping(self) -> Iterator[Finding]:
-        """Yield who has claimed the whole graph of one of our robots, or a robot on a graph of ours."""
+        """Yield holders of the whole graph of one of our robots, or of a robot on a graph of ours."""
         names: set[str] = set()
         with suppress(StorageError):  # of a user without a home folder: told where a claim is to be held
             names.update(unquote(path.name) for path in _files())
@@ -189,15 +189,15 @@ class HeldClaims:
                     yield Finding.error("claims", problem, fix)
 
     def _who_has(self, claim: str) -> tuple[str, str]:
-        """Return in words who holds a claim of others, or has left something there, and what to do; empty if nobody."""
+        """Return in words the holder of a claim, or one that left something there, and a fix; empty if none."""
         holder, is_held = _looked_at(_path_of(claim))
         return (holder.in_words(), _HAVE_IT_WAIT) if is_held else self._who_is_left(holder)
 
     def _who_is_left(self, before: ClaimHolder) -> tuple[str, str]:
-        """Return in words which earlier holder still has processes, and what to do; empty if none."""
+        """Return in words an earlier holder that still has processes, and a fix; empty if there is none."""
         for root in before.roots_but(self._signature.folder):
             if self._goes_on(Path(root)):
-                return f"what is left of {before.left_in_words(root)}, which was killed", _AWAIT_ITS_END
+                return f"the remaining processes of {before.left_in_words(root)}, which was killed", _AWAIT_ITS_END
         return "", ""
 
     def _against_users(self, claim: str, opened: ExitStack) -> Iterator[Finding]:
@@ -209,7 +209,7 @@ class HeldClaims:
             self.findings.append(Finding.warning("claims", problem, "Correct what the system names."))
 
     def _hold(self, claim: str, opened: ExitStack, looked_at: ClaimHolder | None = None) -> Iterator[Finding]:
-        """Lock the file of a claim; yield who holds it, or has left something, unless that is `looked_at`."""
+        """Lock the file of a claim; yield its holder, or one that left something unless that is `looked_at`."""
         try:
             path = _path_of(claim)
             path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
@@ -261,7 +261,7 @@ def _path_of(claim: str) -> Path:
 
 
 def _locked(descriptor: int, kind: int) -> bool:
-    """Lock the file of a claim, and return whether nobody else holds the claim.
+    """Lock the file of a claim, and return whether that succeeded: no other process holds the claim.
 
     Looking at a claim takes a shared lock for a moment, which must refuse nobody.
     """

@@ -4,16 +4,19 @@ from __future__ import annotations
 
 from bisect import bisect_left
 from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from robot_runner.core.design.columns import EXCLUDED, REPETITION, STATUS
+from robot_runner.core.design.columns import EXCLUDED, REPETITION, RUN_ID, STATUS
 from robot_runner.core.errors import Finding
 from robot_runner.core.storage.cells import RunStatus, measure_text
+from robot_runner.core.storage.guarded_files import sha256_of
 from robot_runner.core.storage.journal import read_journal
-from robot_runner.core.storage.run_table_reading import digest_of
+from robot_runner.core.storage.layout import ExperimentFolder
+from robot_runner.core.storage.run_table_reading import read_run_table
 from robot_runner.core.storage.run_table_rows import RunTableRows
+from robot_runner.core.storage.table_columns import ColumnDescription, TableLayout
 from robot_runner.core.words import counted, listed
 
 
@@ -224,7 +227,7 @@ def edited_findings(journal: Path, table: Path, rows: RunTableRows) -> Iterator[
     written = ""
     for record in read_journal(journal, kinds={"table_written"}):
         written = record.get("sha256", "")
-    if digest_of(table) == written:
+    if sha256_of(table) == written:
         return  # nearly always, without reading more of the journal
     known: dict[str, dict[str, str]] = {}
     for record in read_journal(journal, kinds={"attempt_started", "attempt_finished", "deviation"}):
@@ -265,3 +268,42 @@ def _is_alike(text: str, cell: Any) -> bool:
         return float(text) == float(cell)
     except (TypeError, ValueError):
         return False
+
+
+# The run table, with what the journal has beyond its file.
+
+
+def recorded_rows(folder: ExperimentFolder, columns: Sequence[ColumnDescription]) -> tuple[RunTableRows, set[str]]:
+    """Read the run table, with the runs that have ended since the file was written; a kill leaves it so.
+
+    Args:
+        folder: of the experiment.
+        columns: of the run table, by its schema.
+
+    Returns:
+        the rows, and the runs whose last attempt came to an end by the journal.
+
+    Raises:
+        StorageError: there is no run table, or it or the journal cannot be read.
+    """
+    # Read the journal first: a table that is written meanwhile is newer than its records, never older.
+    ended: set[str] = set()
+    newer: dict[str, dict[str, Any]] = {}
+    for record in read_journal(folder.journal, kinds={"attempt_finished", "table_written"}):
+        if record["kind"] == "table_written":
+            newer.clear()
+        else:
+            newer[record["run"]] = record
+            (ended.discard if record["status"] == "interrupted" else ended.add)(record["run"])
+    excluded = ExcludedRuns.read(folder.journal) if folder.journal.exists() else None
+    layout = TableLayout.of_schema(columns)
+    if excluded is not None and excluded.were_any:
+        layout = replace(layout, has_exclusions=True)
+    rows = read_run_table(folder.run_table, layout)
+    for record in newer.values():
+        if rows.place_of(record["run"]) is not None:
+            rows.take_end(record)
+    if excluded is not None:  # the journal decides; the next session settles a cell that was edited by hand
+        for run_id in rows.values(RUN_ID) if rows.layout.has_exclusions else ():
+            rows.exclude(run_id, excluded.reason(run_id))
+    return rows, ended

@@ -37,7 +37,7 @@ class _Design(TypedDict):
 
 
 class Repository(TypedDict):
-    """What is recorded of a repository at an execution."""
+    """The state of a repository, as recorded at an execution."""
 
     commit: NotRequired[str | None]
     branch: NotRequired[str | None]
@@ -56,6 +56,7 @@ class _Execution(TypedDict):
     changed: NotRequired[dict[str, "_Change"]]
     given: NotRequired[dict[str, Any]]
     changed_values: NotRequired[dict[str, dict[str, Any]]]
+    config_number: NotRequired[int]
 
 
 _Change = TypedDict("_Change", {"was": Scalar, "is": Scalar})
@@ -176,7 +177,7 @@ class RegistrationFile(TypedDict):
 
 
 class HolderFile(TypedDict):
-    """Who holds the lock of an experiment's folder."""
+    """The holder of the lock of an experiment's folder."""
 
     pid: int
     host: str
@@ -193,7 +194,7 @@ class RequestFile(TypedDict):
 
 
 class ClaimFile(TypedDict):
-    """Who has claimed something, against other experiments of the user."""
+    """The holder of a claim against other experiments of the user."""
 
     experiment: str
     folder: str

@@ -77,7 +77,7 @@ def git(
 
 
 def repository_state(folder: Path | str) -> RepositoryState | None:
-    """Return what is checked out in the repository that a folder belongs to.
+    """Return the state of the repository that a folder belongs to.
 
     None where there is no git, no repository, no commit in it, or no answer.
     """

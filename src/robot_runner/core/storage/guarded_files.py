@@ -15,6 +15,7 @@ What cannot be done is a `StorageError` that names the file, why, and what to do
 from __future__ import annotations
 
 import errno
+import hashlib
 import io
 import os
 import stat
@@ -62,6 +63,7 @@ __all__ = [
     "remove",
     "replace",
     "require_file",
+    "sha256_of",
 ]
 
 #: JSON takes up to 24 times its length in memory (a list of empty objects): 8 MB become 200 MB.
@@ -112,6 +114,16 @@ def open_to_read(path: Path, root: Path | None = None, *, limit: int | None = No
         file.close()
         raise _too_large(path, f"the file has {_in_words(size)}", limit)
     return file
+
+
+def sha256_of(path: Path) -> str:
+    """Return the SHA-256 of a file, in hexadecimal digits.
+
+    Raises:
+        StorageError: as `open_to_read`.
+    """
+    with storage_errors(path, "read"), open_to_read(path) as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def open_text(path: Path, root: Path | None = None) -> TextIO:

@@ -11,7 +11,6 @@ from datetime import UTC, datetime
 from io import BytesIO
 from itertools import chain
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Self
 
 from robot_runner.core.errors import StorageError
@@ -89,9 +88,7 @@ class Journal:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *raised: object) -> None:
         self.close()
 
     def append(self, kind: str, *, flush: bool = False, at: str | None = None, **fields: Any) -> None:
@@ -130,7 +127,7 @@ class Journal:
 
     @property
     def moved_to(self) -> str:
-        """Where the file is now, if somebody has moved or renamed it or its folder since; empty if nobody has."""
+        """The present path of the file, if it or its folder was moved or renamed since; else empty."""
         try:
             self._path.lstat()
         except (FileNotFoundError, NotADirectoryError):

@@ -312,7 +312,12 @@ def next_in(folder: Path, root: Path) -> Path:
         StorageError: it cannot be made.
     """
     make_folder(folder, root)
-    return folder / str(1 + sum(1 for _ in folder.iterdir()))
+    return folder / str(1 + members_in(folder))
+
+
+def members_in(folder: Path) -> int:
+    """Return the number of members of a folder; 0 if there is none."""
+    return sum(1 for _ in folder.iterdir()) if folder.is_dir() else 0
 
 
 def last_config(folder: ExperimentFolder) -> Path:

@@ -10,7 +10,6 @@ from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import TracebackType
 from typing import Self
 
 from robot_runner.core.errors import ExecutionError, Finding, StorageError
@@ -137,9 +136,7 @@ class ExperimentLock:
             problem, fix = f"{problem}, and now {refusal.problem}", refusal.fix
         raise ExecutionError(problem, where=where, fix=fix)
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *raised: object) -> None:
         self._let_go()
         os.close(self._folder)
 
@@ -165,7 +162,7 @@ def _own_holder(path: Path) -> Holder | None:
 
 
 def holder_of(path: Path) -> Holder | None:
-    """Return who holds the lock at this moment, or None, without changing anything."""
+    """Return the holder of the lock at this moment, or None, without changing anything."""
     if own := _own_holder(path):
         return own
     try:
@@ -209,7 +206,7 @@ _MOST_BYTES = 64 * 1024
 
 
 def send_continue(control: Path, answers: Mapping[str, str] | None = None, asked: Asked | None = None) -> None:
-    """Tell the orchestrator to go on, with answers by name; `asked` is the question, None where that is not known.
+    """Let the orchestrator go on, with answers by name; `asked` is the question, None where that is not known.
 
     Raises:
         StorageError: the experiment's folder cannot be written.

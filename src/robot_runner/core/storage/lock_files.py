@@ -30,7 +30,7 @@ _TRIES, _BETWEEN = 50, 0.01
 
 
 def open_to_lock(path: Path, root: Path) -> int:
-    """Return a descriptor of a file to lock, which is made where it is missing; nobody else can open it.
+    """Return a descriptor of a file to lock, which is made where it is missing; no other user can open it.
 
     Raises:
         StorageError: it is not a regular file, or cannot be written.

@@ -6,6 +6,7 @@ import hashlib
 import json
 import os
 import platform
+import re
 import subprocess
 import sys
 from collections.abc import Iterable, Mapping
@@ -143,6 +144,9 @@ def _memory_bytes() -> int | None:
 
 #: The installed packages of Debian and its derivatives (Ubuntu, Raspberry Pi OS): deb822 paragraphs.
 _STATUS = Path("/var/lib/dpkg/status")
+#: The states (dpkg(1)) of packages whose files are there: others than the first are those of packages that a running
+#: or broken installation is yet to configure.
+_IS_THERE = re.compile(rb"(?m)^Status: \S+ \S+ (installed|triggers-pending|triggers-awaited|half-configured|unpacked)$")
 #: How much of a paragraph is searched for the fields that are needed, which come first.
 _HEAD = 400
 _DEADLINE_S = 20.0
@@ -177,7 +181,7 @@ def _system_packages(status: Path, _changed: int, _size: int) -> dict[str, str]:
     found = {}
     paragraphs = status.read_bytes().split(b"\n\n")
     for paragraph in paragraphs:
-        if b" installed\n" in paragraph[:_HEAD]:
+        if _IS_THERE.search(paragraph[:_HEAD]):
             name, version = (_field(paragraph, field) for field in (b"Package", b"Version"))
             if name and version:
                 found[name] = version

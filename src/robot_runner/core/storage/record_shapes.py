@@ -45,6 +45,7 @@ class _AttemptFinished(_OfRun):
     seconds: float | None
     failure: str | None
     measures: dict[str, _Measure]
+    doubts: NotRequired[dict[str, list[str]]]
     stamps: dict[str, str | None]
     is_last: NotRequired[bool]
     is_amended: NotRequired[bool]

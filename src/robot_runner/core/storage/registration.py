@@ -1,4 +1,4 @@
-"""The registration of a study: a file with what was fixed before its first run, and a checksum of its content."""
+"""The registration of a study: a file with its plan, fixed before its first run, and a checksum of its content."""
 
 from __future__ import annotations
 
@@ -201,7 +201,7 @@ _DESIGN_WORDS = {
     "blocks": "blocks of the order",
     "warm_up": "warm-up runs",
     "excluded": "combinations left out of the design",
-    "parameters": "what chooses the combinations",
+    "parameters": "parameters of the design",
 }
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import hashlib
 import io
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -22,7 +21,7 @@ from robot_runner.core.errors import StorageError, nearest
 from robot_runner.core.storage.cells import RunStatus
 from robot_runner.core.storage.guarded_files import MissingFileError, open_to_read
 from robot_runner.core.storage.run_table_rows import RunRow, RunTableRows
-from robot_runner.core.storage.system_refusals import storage_error, storage_errors
+from robot_runner.core.storage.system_refusals import storage_error
 from robot_runner.core.storage.table_columns import MARKS, TableLayout
 from robot_runner.core.storage.table_decoders import (
     CellDecoder,
@@ -172,16 +171,6 @@ def run_table_in(file: TextIO, path: Path, layout: TableLayout, planned: Sequenc
         file.seek(0)
         reading = _Reading(layout, TableFindings(path), planned, decimal_comma=delimiter == ";")
         return reading.read(file, delimiter)
-
-
-def digest_of(path: Path) -> str:
-    """Return the SHA-256 of the file of a run table, in hexadecimal digits, as the journal records it.
-
-    Raises:
-        StorageError: it cannot be read.
-    """
-    with storage_errors(path, "read"), open_to_read(path) as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 class _Reading:

@@ -16,7 +16,7 @@ from robot_runner.core.design.columns import BATCH, RUN_ID, STATUS, WARM_UP
 from robot_runner.core.design.factor import Combination
 from robot_runner.core.design.planned_runs import PlannedRun, garbage_collection_paused
 from robot_runner.core.errors import Finding, MeasureError, StorageError, did_you_mean
-from robot_runner.core.storage.cells import CellValue, RunStatus, checked_measure, csv_text, measure_text
+from robot_runner.core.storage.cells import ENDS, CellValue, RunStatus, checked_measure, csv_text, measure_text
 from robot_runner.core.storage.safe_write import write_beside_and_rename
 from robot_runner.core.storage.table_columns import FactorColumn, TableLayout
 
@@ -27,7 +27,7 @@ _NUMBERED = re.compile(r"r_([1-9][0-9]{0,17})")
 
 
 class RunRow:
-    """One row of the run table: a planned run, how far it has come, and what was measured.
+    """One row of the run table: a planned run, its status, and its measures.
 
     Attributes:
         run: the run as planned.
@@ -170,6 +170,11 @@ class RunTableRows:
             raise StorageError(f"there is no run {run_id!r}", where=RUN_ID, fix=fix)
         return place
 
+    def has_ended(self, run_id: str) -> bool:
+        """Return whether a run is done or failed; False where there is no such run."""
+        place = self.place_of(run_id)
+        return place is not None and self.status(place) in ENDS.values()
+
     def status(self, place: int) -> RunStatus:
         """Return how far the run at `place` has come."""
         return self._rows[place].status
@@ -244,6 +249,26 @@ class RunTableRows:
             row.measures = _replaced(self.layout.measures, row.measures, values)
         if status is not None:
             self._change(row, status)
+
+    def take_end(self, record: Mapping[str, Any]) -> None:
+        """Change the row of a run by the journal's record of an attempt's end; one that was interrupted is to do again.
+
+        Raises:
+            StorageError: there is no such run.
+        """
+        run_id = record["run"]
+        if (status := ENDS.get(record["status"])) is None:
+            self.clear(run_id)
+            return
+        stamps = {f"{event}_at": stamp for event, stamp in record["stamps"].items()}
+        measures = {name: each["value"] for name, each in record["measures"].items()}
+        self.take_former(run_id, measures)
+        self.record(
+            run_id,
+            status=status,
+            stamps={name: stamp for name, stamp in stamps.items() if name in self.layout.stamps},
+            measures={name: value for name, value in measures.items() if name in self.layout.measures},
+        )
 
     def clear(self, run_id: str) -> None:
         """Set a run back: it is to do again, without time stamps and measures.

@@ -75,7 +75,7 @@ def may_be_one(claim: str, other: str) -> bool:
 
 
 def hold_against_users(claim: str, opened: ExitStack) -> Iterator[str]:
-    """Hold a claim against other users of this machine until `opened` is closed, and yield those who hold it.
+    """Hold a claim against other users of this machine until `opened` is closed, and yield its other holders.
 
     Where the machine has no folder for all users, nothing is done.
 
@@ -116,7 +116,7 @@ def _is_everybodys(folder: Path) -> bool:
 
 
 def _hold(path: Path, opened: ExitStack) -> str:
-    """Lock our own file; return who prevents that, or empty."""
+    """Lock our own file; return the holder that prevents that, or empty."""
     for _ in range(_TRIES):
         try:
             descriptor = os.open(path, os.O_RDONLY | os.O_CREAT | _FLAGS, _MODE)
@@ -156,7 +156,7 @@ def _let_go(descriptor: int, path: Path) -> None:
 
 
 def _holder(path: Path, user: str) -> Iterator[str]:
-    """Yield who holds the file of another user, if anybody does; a file that is not that user's own is ignored."""
+    """Yield the holder of another user's file, if there is one; a file that is not that user's own is ignored."""
     try:
         descriptor = os.open(path, os.O_RDONLY | _FLAGS)
     except OSError:
@@ -190,7 +190,7 @@ def _flock(descriptor: int, kind: int) -> bool:
 
 
 def _locker(descriptor: int) -> str:
-    """Return in words which process has locked a file; empty where the system does not say (`man 5 proc_locks`)."""
+    """Return in words the process that has locked a file; empty where the system hides it (`man 5 proc_locks`)."""
     found = os.fstat(descriptor)
     inode = f"{os.major(found.st_dev):02x}:{os.minor(found.st_dev):02x}:{found.st_ino}"
     with suppress(OSError, ValueError, IndexError):

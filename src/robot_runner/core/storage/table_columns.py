@@ -80,7 +80,7 @@ def spelling_of_headings(headings: Mapping[str, str]) -> TableSpelling:
 
 
 class ColumnRole(Enum):
-    """What a column of the run table is for."""
+    """The role of a column of the run table."""
 
     PROGRESS = "progress"
     TIMESTAMP = "timestamp"
@@ -185,6 +185,7 @@ class TableLayout:
         former_measures: those of `extras` that were measures in earlier executions; a new attempt clears them.
         types: the type of columns in the run table's schema, by name, for cells that could be read in several ways.
         spelling: how the file spells headings and statuses.
+        owners: who yields each column by the run table's schema, by name.
 
     Raises:
         DesignError: two columns would have one heading.
@@ -204,6 +205,7 @@ class TableLayout:
     has_exclusions: bool = False
     marks: tuple[str, ...] = ()
     former_measures: tuple[str, ...] = ()
+    owners: Mapping[str, str] = field(default_factory=lambda: MappingProxyType({}), compare=False)
 
     def __post_init__(self) -> None:
         counts = Counter(self.columns)
@@ -248,6 +250,7 @@ class TableLayout:
             spelling=spelling_of_headings({column.name: column.heading for column in schema if column.heading}),
             has_exclusions=EXCLUDED in named[ColumnRole.PROGRESS],
             marks=tuple(name for name, mark in MARKS.items() if name in named[mark.role]),
+            owners={column.name: column.owner for column in schema},
         )
 
     @property

@@ -151,7 +151,7 @@ EXCLUSION = ColumnDescription(
 def describe_columns(
     rows: RunTableRows, known: Mapping[str, ColumnDescription] | None = None
 ) -> tuple[ColumnDescription, ...]:
-    """Describe each column of a run table for its schema; `known` has what its values do not tell, by heading."""
+    """Describe each column of a run table for its schema; `known` has facts beyond its values, by heading."""
     recorded = rows.recorded()
     words = {status: rows.layout.spelling.status_words[status] for status in RunStatus}
     described = [

@@ -15,8 +15,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robot_runner.core.design.batches import GrownRunTableModel, batches_of, first_batch, next_batch, records_of
+from robot_runner.core.design.extended_design import Additions, Begun, NewFactor, extended_design
 from robot_runner.core.design.factor import Factor
-from robot_runner.core.design.growing import Additions, Begun, NewFactor, grown_design
 from robot_runner.core.design.listed_runs import ListedRun, ListedRunTableModel
 from robot_runner.core.design.planned_runs import RunOrder
 from robot_runner.core.design.run_table_model import RunTableModel
@@ -46,7 +46,7 @@ def extended(
     """Return the design with one more batch, by way of the journal's plain records."""
     config = config or getattr(model, "as_configured", model)
     there = begun(model)
-    design = grown_design(there, config, added)
+    design = extended_design(there, config, added)
     batches = model.batches or (first_batch(there, RunOrder(shuffle=model.shuffle, seed=model.seed)),)
     order = RunOrder(shuffle=shuffle, seed=seed, blocks=config.blocks)
     batch = next_batch(
@@ -62,7 +62,7 @@ def shown(model: RunTableModel) -> list[tuple[str, str, int, int]]:
 
 def findings(model: RunTableModel, added: Additions, **changed: Any) -> list[str]:
     with pytest.raises(DesignError) as refused:
-        grown_design(begun(model, **changed), getattr(model, "as_configured", model), added)
+        extended_design(begun(model, **changed), getattr(model, "as_configured", model), added)
     return [str(finding) for finding in refused.value.findings]
 
 
@@ -322,7 +322,7 @@ def test_a_new_factor_of_the_config_needs_the_treatment_that_the_runs_so_far_had
 def test_a_factor_that_the_config_has_no_longer_is_to_be_put_back() -> None:
     there = begun(RunTableModel([TASK, SPEED]))
     with pytest.raises(DesignError, match=r"the config does not have this factor any more.*Put it back") as refused:
-        grown_design(there, RunTableModel([TASK]), Additions(2))
+        extended_design(there, RunTableModel([TASK]), Additions(2))
     assert [finding.where for finding in refused.value.findings] == ["factor 'Speed'"]
 
 

@@ -1,34 +1,17 @@
-"""Conditional factors, which apply under some treatments of others only, and the combinations that this excludes."""
+"""The combinations of a full factorial, and conditional factors, which apply under some treatments of others only."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from typing import Any, Protocol
+from itertools import product, repeat
+from math import prod
 
+from robot_runner.core.design.factor import Combination, Factor, factor_places
 from robot_runner.core.errors import Finding, did_you_mean
 from robot_runner.core.words import INACTIVE
 
 
-class _Factor(Protocol):
-    """The part of `factor.Factor` that is needed here; that module imports this one."""
-
-    @property
-    def name(self) -> str: ...
-
-    @property
-    def treatments(self) -> tuple[Any, ...]: ...
-
-    @property
-    def when(self) -> Mapping[str, tuple[Any, ...]]: ...
-
-    def position_of(self, value: Any) -> int | None: ...
-
-    def named(self, wanted: Any) -> Sequence[Any]: ...
-
-    def suggestion(self, value: Any) -> str: ...
-
-
-def condition_findings(factors: Sequence[_Factor]) -> Iterator[Finding]:
+def condition_findings(factors: Sequence[Factor]) -> Iterator[Finding]:
     """Yield an error for conditions with unknown names, or that depend on each other in a circle."""
     by_name = {factor.name: factor for factor in factors}
     for factor in factors:
@@ -49,11 +32,11 @@ def condition_findings(factors: Sequence[_Factor]) -> Iterator[Finding]:
                 seen.add(name)
                 open_names += by_name[name].when
         if factor.name in seen:
-            yield Finding.error(where, "its conditions depend on itself", "Remove one of the conditions.")
+            yield Finding.error(where, "the conditions are circular", "Remove one of the conditions.")
 
 
-def impossible_treatments(factors: Sequence[_Factor]) -> Iterator[dict[str, frozenset[int]]]:
-    """Yield what the conditions of factors exclude: indices of treatments that are never together, by factor."""
+def impossible_treatments(factors: Sequence[Factor]) -> Iterator[dict[str, frozenset[int]]]:
+    """Yield combinations that the conditions of factors exclude: indices of treatments, by factor."""
     by_name = {factor.name: factor for factor in factors}
     for factor in factors:
         if not factor.when:
@@ -72,7 +55,7 @@ def impossible_treatments(factors: Sequence[_Factor]) -> Iterator[dict[str, froz
 
 
 def identified(
-    factors: Sequence[_Factor], excluded: Iterable[Mapping[str, frozenset[int]]]
+    factors: Sequence[Factor], excluded: Iterable[Mapping[str, frozenset[int]]]
 ) -> list[list[tuple[str, set[int]]]]:
     """Return exclusions with the `id` of each treatment for its index: combinations hold the factors' objects."""
     by_name = {factor.name: factor for factor in factors}
@@ -80,3 +63,19 @@ def identified(
         [(name, {id(by_name[name].treatments[place]) for place in places}) for name, places in each.items()]
         for each in excluded
     ]
+
+
+def full_factorial(factors: Sequence[Factor]) -> list[Combination]:
+    """Return every combination of the factors' treatments that their conditions allow; the first changes slowest."""
+    places = factor_places(factor.name for factor in factors)
+    every = list(map(Combination, repeat(places), product(*(factor.treatments for factor in factors))))
+    for excluded in identified(factors, impossible_treatments(factors)):
+        every = [each for each in every if not all(id(each[name]) in treatments for name, treatments in excluded)]
+    return every
+
+
+def full_size(factors: Sequence[Factor]) -> int:
+    """Return how many combinations the full factorial has; only factors that conditions tie together are multiplied."""
+    tied = {name for factor in factors if factor.when for name in (factor.name, *factor.when)}
+    free = prod(len(factor.treatments) for factor in factors if factor.name not in tied)
+    return free * (len(full_factorial([each for each in factors if each.name in tied])) if tied else 1)

@@ -16,12 +16,12 @@ from typing import TYPE_CHECKING
 import pytest
 
 from robot_runner.core.errors import StorageError
-from robot_runner.core.execution.left_over import (
+from robot_runner.core.execution.left_processes import (
     RunMark,
     RunsElsewhere,
-    await_left_over,
-    end_left_over,
-    left_over,
+    await_left_processes,
+    end_left_processes,
+    left_processes,
     renew_mark,
     runs_elsewhere,
 )
@@ -88,8 +88,8 @@ def test_who_only_reads_the_file_of_the_mark_is_no_run_and_is_not_killed(
     folder = ExperimentFolder(tmp_path)
     backup = opened_by("file.read()")
     run = opened_by("fcntl.flock(file, fcntl.LOCK_SH)")
-    assert left_over(folder) == [run.pid]
-    assert end_left_over(folder) == [run.pid]
+    assert left_processes(folder) == [run.pid]
+    assert end_left_processes(folder) == [run.pid]
     assert run.wait(10) == -9
     assert backup.poll() is None
 
@@ -148,7 +148,7 @@ def test_what_is_left_of_a_run_is_found_in_a_folder_whose_name_is_no_text(tmp_pa
     with subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, env=environment) as left:
         assert left.stdout is not None
         left.stdout.readline()
-        assert left_over(folder) == [left.pid]
+        assert left_processes(folder) == [left.pid]
         left.kill()
 
 
@@ -169,10 +169,10 @@ def test_an_experiment_goes_on_as_long_as_what_it_executed_beside_its_runs(
 ) -> None:
     gate = locking(tmp_path / ".aside-x3kd81_q" / ".alive")
     assert goes_on(tmp_path)
-    finding = await_left_over(ExperimentFolder(tmp_path), 0.1)
+    finding = await_left_processes(ExperimentFolder(tmp_path), 0.1)
     assert gate.wait(10) == -9
     assert finding is not None
-    assert "what it did beside its runs was still going on and was waited for" in finding.problem
+    assert "its work beside runs was still going on and was waited for" in finding.problem
     assert not list(tmp_path.glob(".aside-*"))
     assert not goes_on(tmp_path)
 
@@ -239,7 +239,7 @@ def test_after_a_reboot_the_clock_of_time_stamps_tells_whether_an_experiment_goe
     mark.write_bytes(RunsElsewhere("cluster tcp://scheduler:8786", 33.0).content())
     renew_mark(mark, folder)
     os.utime(mark, times=(0.0, 0.0))  # by the clock as it was set before
-    monkeypatch.setattr("robot_runner.core.execution.left_over._boot", lambda: "another one")
+    monkeypatch.setattr("robot_runner.core.execution.left_processes._boot", lambda: "another one")
     assert goes_on(tmp_path)
     wall = time.time
     monkeypatch.setattr(time, "time", lambda: wall() + 34.0)

@@ -1,4 +1,4 @@
-"""What an experiment needs before its first run: its folder, its manifest, and treatments that can be used."""
+"""Preparing an experiment before its first run: its folder, its manifest, and its treatments."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ from robot_runner.core.design.factor import Factor
 from robot_runner.core.design.revision import Revision
 from robot_runner.core.design.run_table_model import RunTableModel
 from robot_runner.core.errors import ExecutionError, Finding, StorageError
-from robot_runner.core.execution.circumstances import (
+from robot_runner.core.execution.interruption import Interruption
+from robot_runner.core.execution.manifest_content import (
     change_findings,
     kept_manifest,
     manifest_of,
     restored_manifest,
     resumed_manifest,
 )
-from robot_runner.core.execution.interruption import Interruption
 from robot_runner.core.execution.recovered_table import RecoveredTable
-from robot_runner.core.execution.recovery import ACCEPT, Resumption, config_changes
+from robot_runner.core.execution.resumption import ACCEPT, Resumption, config_changes
 from robot_runner.core.execution.table_recovery import is_blank, recover_table
 from robot_runner.core.storage.guarded_files import make_experiment_folder, make_folder
 from robot_runner.core.storage.layout import ExperimentFolder
@@ -52,7 +52,7 @@ def made_folder(folder: ExperimentFolder) -> set[str]:
 
 
 def folder_refusals(experiment: Experiment) -> tuple[Finding, ...]:
-    """Return the errors with which an execution would be refused for what is in its folder; nothing is changed.
+    """Return the errors for which an execution in this folder would be refused; nothing is changed.
 
     There are none while it is executed, as its files change.
     """
@@ -68,7 +68,7 @@ def folder_refusals(experiment: Experiment) -> tuple[Finding, ...]:
 
 
 def begun_manifest(experiment: Experiment, *, accept_changes: bool) -> tuple[dict[str, Any], tuple[Finding, ...]]:
-    """Return the manifest of an experiment that starts or goes on, and what looks odd in it.
+    """Return the manifest of an experiment that starts or goes on, and findings on it.
 
     Raises:
         ExecutionError: the config differs from what was executed, and that is not accepted, or plans runs that the
@@ -138,7 +138,7 @@ def prepared_treatments(
 
 
 def _refuse_unfit(experiment: Experiment) -> None:
-    """Check plugins again that are bound to what was made: only now does it exist."""
+    """Check again the plugins that are bound to treatments made just now: they did not exist before."""
     names = {
         each.name for each in experiment.model.factors if any(isinstance(one, Revision) for one in each.treatments)
     }

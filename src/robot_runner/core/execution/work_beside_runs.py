@@ -18,10 +18,10 @@ from robot_runner.core.config.experiment import Experiment
 from robot_runner.core.config.parameters import RunProcess
 from robot_runner.core.events.manager import EventManager, OwnerKind, RobotRunnerEvents, methods_of
 from robot_runner.core.events.measure import CONFIG_OWNER
-from robot_runner.core.execution.executor import begin_run
-from robot_runner.core.execution.left_over import ASIDE
-from robot_runner.core.execution.patience import Steps
+from robot_runner.core.execution.left_processes import ASIDE
+from robot_runner.core.execution.local_places import begin_run
 from robot_runner.core.execution.places import Watch
+from robot_runner.core.execution.poll_loop import Steps
 from robot_runner.core.execution.task import OutcomeBuilder, RunOutcome, RunTask
 from robot_runner.core.plugin import Profiler
 from robot_runner.core.storage.layout import ExperimentFolder
@@ -29,7 +29,7 @@ from robot_runner.core.storage.lock import holder_of
 from robot_runner.core.storage.system_refusals import storage_errors
 
 
-def executed_aside(
+def executed_beside_runs(
     experiment: Experiment,
     task: RunTask,
     mission: Callable[..., object],

@@ -19,8 +19,8 @@ import numpy as np
 import pytest
 
 from robot_runner.core.config.preparation import prepare_or_refuse
-from robot_runner.core.execution import inherited
-from robot_runner.core.execution.inherited import seed_random_numbers
+from robot_runner.core.execution import inherited_state
+from robot_runner.core.execution.inherited_state import seed_random_numbers
 from robot_runner.core.execution.notices import SilentObserver
 from robot_runner.core.execution.orchestrator import execute_experiment
 
@@ -96,7 +96,7 @@ def test_what_callbacks_have_written_is_in_files_that_they_leave_open(tmp_path: 
         assert (own / "own.zip").read_bytes()[-22:-18] == b"PK\x05\x06"  # the end of an archive
     assert (finished.done_count, finished.failed_count) == (1, 2)
     full = folder / "runs" / "r_3" / "full.csv"
-    problem = f"what was written to {full} is not all in it: No space left on device"
+    problem = f"{full} lacks part of what was written to it: No space left on device"
     assert any(problem in failure for failure in finished.failures), finished.failures
 
 
@@ -112,7 +112,7 @@ def test_what_is_no_file_on_a_disk_is_left_alone(tmp_path: Path) -> None:
     with one, other, one.makefile("w") as line, io.TextIOWrapper(io.BytesIO()) as memory:
         line.write("waits")
         memory.write("waits")
-        assert inherited.write_open_files() == []
+        assert inherited_state.write_open_files() == []
         other.setblocking(False)
         with pytest.raises(BlockingIOError):
             other.recv(10)
@@ -124,11 +124,11 @@ def test_what_is_no_file_on_a_disk_is_left_alone(tmp_path: Path) -> None:
 def test_files_are_not_kept_open_by_being_known(tmp_path: Path) -> None:
     file = (tmp_path / "file").open("w")
     file.write("text")
-    inherited.note_open_files()
+    inherited_state.note_open_files()
     del file
     gc.collect()
     assert (tmp_path / "file").read_text() == "text"
-    inherited.write_inherited()
+    inherited_state.write_inherited()
 
 
 DRAWING = """

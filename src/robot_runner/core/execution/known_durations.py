@@ -1,4 +1,4 @@
-"""What is known of the duration of a run: what plugins and configs say beforehand, and the runs that were seen."""
+"""The durations of runs: as plugins and the config declare them beforehand, and as observed in runs that ended."""
 
 from __future__ import annotations
 
@@ -26,52 +26,64 @@ def combination_key(combination: Mapping[str, Any]) -> CombinationKey:
 
 
 @dataclass(slots=True)
-class MissionKnowledge:
-    """What the plugins of an experiment, and its config, say of the duration of a run (`duration_s`).
+class DeclaredDurations:
+    """The durations of runs that the plugins of an experiment, and its config, declare by a method `duration_s`.
 
     Attributes:
-        speakers: plugins, and the config, that have a `duration_s`, with their names.
-        silent: the names of those that take part in the mission and have none.
+        sources: plugins, and the config, that have a `duration_s`, with their names.
+        without: the names of those that take part in the mission and have none.
         is_simulated: whether the robot is the embedded one: then nobody is asked, as the physics takes its own time.
         findings: what was wrong with their answers.
     """
 
-    speakers: tuple[tuple[str, Any], ...] = ()
-    silent: tuple[str, ...] = ()
+    sources: tuple[tuple[str, Any], ...] = ()
+    without: tuple[str, ...] = ()
     is_simulated: bool = False
     findings: list[Finding] = field(default_factory=list)
 
     @classmethod
-    def of(cls, config: Any, plugins: Sequence[Plugin], events: EventManager, robot: str | None) -> MissionKnowledge:
+    def of(cls, config: Any, plugins: Sequence[Plugin], events: EventManager, robot: str | None) -> DeclaredDurations:
         """Find out which of them can be asked; none is asked yet."""
         if is_simulated(robot):
             return cls(is_simulated=True)
-        able = tuple((plugin.name, plugin) for plugin in plugins if plugin.knows_duration)
+        sources = {plugin.name: plugin for plugin in plugins if plugin.knows_duration}
         if callable(getattr(config, "duration_s", None)):
-            able = (*able, (CONFIG_OWNER, config))
-        names = {name for name, _ in able}
-        heard = (each.owner for each in events.subscribers(RobotRunnerEvents.LAUNCH_MISSION))
-        return cls(able, tuple(dict.fromkeys(owner for owner in heard if owner not in names)))
+            sources[CONFIG_OWNER] = config
+        owners = dict.fromkeys(each.owner for each in events.subscribers(RobotRunnerEvents.LAUNCH_MISSION))
+        return cls(tuple(sources.items()), tuple(owner for owner in owners if owner not in sources))
 
     def seconds(self, combination: Mapping[str, Any]) -> float | None:
-        """Return the sum of what plugins and config say of a run, s; None where none of them says anything."""
-        answers = [self._asked(name, each, combination) for name, each in self.speakers]
-        said = [seconds for seconds in answers if seconds is not None]
-        return math.fsum(said) if said else None
+        """Return the sum of what plugins and config declare for a run, s; None where none of them declares anything."""
+        answers = [self._asked(name, source, combination) for name, source in self.sources]
+        declared = [seconds for seconds in answers if seconds is not None]
+        return math.fsum(declared) if declared else None
 
-    def _asked(self, name: str, speaker: Any, combination: Mapping[str, Any]) -> float | None:
+    def of_all(self, combinations: Iterable[Mapping[str, Any]]) -> dict[CombinationKey, float]:
+        """Return the declared duration of a run of each combination, s; empty unless all of them are declared."""
+        declared: dict[CombinationKey, float] = {}
+        for combination in combinations if self.sources else ():
+            key = combination_key(combination)
+            if key in declared:
+                continue
+            seconds = self.seconds(combination)
+            if seconds is None:
+                return {}
+            declared[key] = seconds
+        return declared
+
+    def _asked(self, name: str, source: Any, combination: Mapping[str, Any]) -> float | None:
         where = f"{name}.duration_s"
         try:
-            said = built_with(speaker, combination).duration_s(combination)
+            seconds = built_with(source, combination).duration_s(combination)
         except Exception as error:  # noqa: BLE001 - a stranger's code
             self._doubt(where, f"the method raised {type(error).__name__}: {error}")
             return None
-        if said is None:
+        if seconds is None:
             return None
-        if not is_number(said) or said < 0:
-            self._doubt(where, f"the method returned {said!r}, which is not a number of seconds")
+        if not is_number(seconds) or seconds < 0:
+            self._doubt(where, f"the method returned {seconds!r}, which is not a number of seconds")
             return None
-        return float(said)
+        return float(seconds)
 
     def _doubt(self, where: str, problem: str) -> None:
         finding = Finding.warning(where, problem, "Return seconds of real time, or None where it is not known.")
@@ -79,21 +91,7 @@ class MissionKnowledge:
             self.findings.append(finding)
 
 
-def said_of_all(knowledge: MissionKnowledge, combinations: Iterable[Mapping[str, Any]]) -> dict[CombinationKey, float]:
-    """Return how long a run of each combination takes by what is said, s; empty unless all of them are known."""
-    said: dict[CombinationKey, float] = {}
-    for combination in combinations if knowledge.speakers else ():
-        key = combination_key(combination)
-        if key in said:
-            continue
-        seconds = knowledge.seconds(combination)
-        if seconds is None:
-            return {}
-        said[key] = seconds
-    return said
-
-
-def told_apart(combinations: Iterable[Mapping[str, Any]]) -> list[tuple[Mapping[str, Any], int]]:
+def distinct_combinations(combinations: Iterable[Mapping[str, Any]]) -> list[tuple[Mapping[str, Any], int]]:
     """Return each combination and how often it occurs, by identity: the repetitions of a plan share one object."""
     kept = list(combinations)
     found = {id(each): each for each in kept}
@@ -115,8 +113,8 @@ class _Mean:
         return self.total / self.count
 
 
-class SeenRuns:
-    """How long runs took: means of combinations, and of treatments for combinations that were not seen yet."""
+class ObservedDurations:
+    """How long runs took: means of combinations, and of treatments for combinations not observed yet."""
 
     def __init__(self) -> None:
         self._all = _Mean()
@@ -126,13 +124,13 @@ class SeenRuns:
 
     @property
     def count(self) -> int:
-        """How many runs were seen."""
+        """How many runs were observed."""
         return self._all.count
 
     def take(self, key: CombinationKey, seconds: float) -> None:
         """Take a run of this combination into account."""
         self._least, self._most = min(self._least, seconds), max(self._most, seconds)
-        # A combination of one treatment needs no mean of its own: what is kept in memory makes each later fork slower.
+        # A combination of one treatment needs no mean of its own: memory in use makes each later fork slower.
         combination = (self._of_combination[key],) if len(key) > 1 else ()
         for mean in (self._all, *combination, *(self._of_treatment[each] for each in key)):
             mean.take(seconds)
@@ -140,8 +138,8 @@ class SeenRuns:
     def expected(self, key: CombinationKey) -> float | None:
         """Return how long a run of a combination is expected to take, s; None before any run has ended.
 
-        For a combination that was not seen, it is the mean of all runs plus the effect of each treatment (additive),
-        within the shortest and the longest run.
+        For a combination not observed, it is the mean of all runs plus the effect of each treatment (additive), within
+        the shortest and the longest run.
         """
         if not self._all.count:
             return None

@@ -41,7 +41,7 @@ class NewFactor:
 
 @dataclass(frozen=True, slots=True)
 class Additions:
-    """What the command line asks for; what the config has beyond the run table is added in any case.
+    """The additions by the command line; those of the config to the run table are made in any case.
 
     Attributes:
         repetitions: how often each combination is to be executed, all batches together; None for as often as now.
@@ -92,7 +92,7 @@ class Begun:
 
 
 @dataclass(frozen=True, slots=True)
-class GrownDesign:
+class ExtendedDesign:
     """The design that an extended experiment is to reach.
 
     Attributes:
@@ -123,20 +123,20 @@ class GrownDesign:
         return found
 
 
-def grown_design(begun: Begun, config: RunTableModel, added: Additions) -> GrownDesign:
-    """Return the extended design: the present one, with what the config and the command line add.
+def extended_design(begun: Begun, config: RunTableModel, added: Additions) -> ExtendedDesign:
+    """Return the extended design: the present one, with the additions of the config and the command line.
 
     Treatments that the config does not have any more get no further runs; those of the command line do.
 
     Raises:
         DesignError: something cannot be added; `findings` lists all problems.
     """
-    growing = _Growing(begun, config, added)
-    DesignError.refuse(growing.findings())
-    return growing.grown()
+    extending = _Extending(begun, config, added)
+    DesignError.refuse(extending.findings())
+    return extending.extended()
 
 
-class _Growing:
+class _Extending:
     def __init__(self, begun: Begun, config: RunTableModel, added: Additions) -> None:
         self._begun = begun
         self._added = added
@@ -156,7 +156,7 @@ class _Growing:
                 problem = "the config does not have this factor any more, and the runs that were planned do"
                 yield Finding.error(f"factor {name!r}", problem, "Put it back into the config.")
 
-    def grown(self) -> GrownDesign:
+    def extended(self) -> ExtendedDesign:
         """Return the extended design; call it only if there are no findings."""
         chosen = {name: self._written(name, texts) for name, texts in self._added.treatments.items()}
         for name, new in self._added.factors.items():
@@ -169,7 +169,7 @@ class _Growing:
         defaults = {name: _own_treatment(factors, name, self._added.factors[name].default) for name in self._new}
         repetitions = self._added.repetitions or max(self._begun.repetitions, self._repetitions_of_config)
         combinations = self._combinations(factors, all_chosen)
-        return GrownDesign(factors, combinations, repetitions, defaults, {name: chosen[name] for name in chosen})
+        return ExtendedDesign(factors, combinations, repetitions, defaults, {name: chosen[name] for name in chosen})
 
     @property
     def _new(self) -> list[str]:

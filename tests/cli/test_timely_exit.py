@@ -9,7 +9,7 @@ import pytest
 
 PROGRAM = """
 import atexit, multiprocessing, threading, time
-from robot_runner.cli.leaving import leave_in_time
+from robot_runner.cli.timely_exit import leave_in_time
 {left}
 leave_in_time({code}, 0.5, 0.5)
 raise SystemExit({code})

@@ -105,7 +105,7 @@ def marked_folders(folder: ExperimentFolder) -> list[ExperimentFolder]:
     return [*map(folder.at_slot, folder.used_slots()), *asides]
 
 
-def left_over(folder: ExperimentFolder) -> list[int]:
+def left_processes(folder: ExperimentFolder) -> list[int]:
     """Return the processes that runs at a slot left alive, without those that may outlive them (Linux)."""
     name = os.fsencode(f"{_VARIABLE}={_mark(folder)}")
     alive = folder.alive.resolve()
@@ -115,18 +115,18 @@ def left_over(folder: ExperimentFolder) -> list[int]:
     return [pid for pid in found if not is_spared(pid, spared)]
 
 
-def end_left_over(folder: ExperimentFolder) -> list[int]:
-    """Kill what runs of this experiment left alive at a slot of this machine; return the processes that were killed."""
+def end_left_processes(folder: ExperimentFolder) -> list[int]:
+    """Kill the processes that runs of this experiment left alive at a slot of this machine; return them."""
     killed: list[int] = []
-    for seconds in left_over_ended(folder, killed):
+    for seconds in left_processes_ended(folder, killed):
         time.sleep(seconds)
     return sorted(set(killed))
 
 
-def left_over_ended(folder: ExperimentFolder, killed: list[int]) -> Iterator[float]:
+def left_processes_ended(folder: ExperimentFolder, killed: list[int]) -> Iterator[float]:
     """Do the same step by step: yield how long to wait each time, s; `killed` takes the processes."""
     deadline = time.monotonic() + _DYING
-    while (pids := left_over(folder)) and time.monotonic() < deadline:
+    while (pids := left_processes(folder)) and time.monotonic() < deadline:
         for pid in pids:
             with suppress(ProcessLookupError, PermissionError):
                 os.kill(pid, signal.SIGKILL)
@@ -134,8 +134,8 @@ def left_over_ended(folder: ExperimentFolder, killed: list[int]) -> Iterator[flo
         yield _LOOK
 
 
-def await_left_over(folder: ExperimentFolder, grace: float) -> Finding | None:
-    """Wait for what an earlier execution left alive, and end it, before anything is executed beside it.
+def await_left_processes(folder: ExperimentFolder, grace: float) -> Finding | None:
+    """Wait for the processes that an earlier execution left alive, and end them, before anything is executed.
 
     A run gets SIGTERM and has `grace` seconds to close what it opened; then all that is left is killed.
 
@@ -153,7 +153,7 @@ def await_left_over(folder: ExperimentFolder, grace: float) -> Finding | None:
         _ask_to_stop(slot)
     _wait(lambda: not any(map(is_alive, alive)), grace)
     seconds = time.monotonic() - began
-    killed = sorted(pid for slot in slots for pid in end_left_over(slot))
+    killed = sorted(pid for slot in slots for pid in end_left_processes(slot))
     if was_alive and not _wait(lambda: not any(map(is_alive, alive)), _DYING):
         raise ExecutionError(
             "a run of an earlier execution is still alive, and cannot be ended from here",
@@ -170,7 +170,7 @@ def await_left_over(folder: ExperimentFolder, grace: float) -> Finding | None:
     count = sum(slot.root == folder.root for slot in alive)
     runs = f"{count} of its runs were still alive and were" if count > 1 else "its run was still alive and was"
     if not count:
-        runs = "what it did beside its runs was still going on and was"
+        runs = "its work beside runs was still going on and was"
     waited = f"{runs} waited for ({seconds:.1f} s)" if was_alive else "its run had ended"
     left = f"; what was left of it was killed: {', '.join(map(str, killed))}" if killed else ""
     return Finding.warning(str(folder.root), f"an earlier execution was killed; {waited}{left}")
@@ -216,7 +216,7 @@ def go_on_elsewhere(folder: ExperimentFolder) -> bool:
 
 
 def renew_mark(mark: Path, folder: ExperimentFolder) -> None:
-    """Stamp a mark of runs elsewhere with the present moment: somebody still looks after them.
+    """Stamp a mark of runs elsewhere with the present moment: they are still supervised.
 
     The stamp is of the clock as it was set when the mark was made, so that setting it changes nothing.
 
@@ -244,7 +244,7 @@ def _now_by_clock_of(mark: Path, folder: ExperimentFolder) -> float | None:
 
 
 def _boot() -> str:
-    """Return what differs each time that this machine is started (Linux); elsewhere an empty text."""
+    """Return the identifier of this machine's present boot (Linux); elsewhere an empty text."""
     with suppress(OSError):
         return Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii").strip()
     return ""

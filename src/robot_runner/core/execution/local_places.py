@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing, redirect_stderr, redirect_stdout
 from dataclasses import replace
 from functools import partial
@@ -15,15 +15,14 @@ from robot_runner.core.config.parameters import Parameters, RunProcess
 from robot_runner.core.entry_points import named_entry_point
 from robot_runner.core.errors import PluginError, RobotRunnerError
 from robot_runner.core.events.early_end import RunInterrupted
-from robot_runner.core.execution.inherited import write_inherited
+from robot_runner.core.execution.inherited_state import write_inherited
 from robot_runner.core.execution.interruption import InterruptGate
 from robot_runner.core.execution.keeper import KEEPING, Keeper, reap_keepers
 from robot_runner.core.execution.places import Place, Places, RunInFlight, Watch
 from robot_runner.core.execution.processes import await_end
 from robot_runner.core.execution.run_events import execute_run, systems_of_standby
-from robot_runner.core.execution.run_records import FINISHED, RecordReader, RecordWriter
+from robot_runner.core.execution.run_records import FINISHED, RecordReader
 from robot_runner.core.execution.standby import Standby
-from robot_runner.core.execution.systems_state import SystemsState
 from robot_runner.core.execution.task import OutcomeBuilder, RunOutcome, RunTask
 from robot_runner.core.execution.worker import be_run, become_interpreter
 from robot_runner.core.links.connect import is_simulated, preload_before_forks
@@ -96,7 +95,7 @@ def places_of(experiment: Experiment, claims: Claims, combinations: Iterable[Map
         point = named_entry_point("places", "cluster")
         if point is None:
             fix = "Install Robot Runner again: pip install 'robot-runner[cluster]'."
-            raise PluginError("nothing that is installed speaks to a cluster", where=f"cluster {address}", fix=fix)
+            raise PluginError("no installed package executes runs on a cluster", where=f"cluster {address}", fix=fix)
         places: Places = point.load()(experiment, address)
         return places
     if experiment.parameters.robots:
@@ -108,7 +107,7 @@ def places_of(experiment: Experiment, claims: Claims, combinations: Iterable[Map
 
 
 def load_before_forks(experiment: Experiment) -> None:
-    """Import what reaches a robot into this process, so that no run or standby that is forked from it has to."""
+    """Import the links to robots into this process, so that no run or standby that is forked from it has to."""
     if experiment.parameters.run_process is RunProcess.FORK:
         preload_before_forks(experiment.parameters.robot)
 
@@ -129,24 +128,12 @@ def begin_run(
         return _executed_here(experiment, task, builder, watch)
     start = be_run if experiment.parameters.run_process is RunProcess.FORK else become_interpreter
     standby = Standby(systems_of_standby(experiment), experiment, task) if may_command else None
-    return _begun_in_process(start, experiment, task, builder, watch, standby)
-
-
-def _begun_in_process(
-    start: Callable[[Experiment, RunTask, SystemsState | None, RecordWriter], None],
-    experiment: Experiment,
-    task: RunTask,
-    builder: OutcomeBuilder,
-    watch: Watch,
-    standby: Standby | None,
-) -> RunInFlight:
-    parameters = experiment.parameters
     write_inherited()
     with ExitStack() as opened:
         state = None if standby is None else opened.enter_context(closing(standby.state))
         run = partial(start, experiment, task, state)
-        keeper = opened.enter_context(Keeper(run, parameters.grace_in_s, experiment.folder, standby))
-        return _Supervision(keeper, builder, parameters, watch, standby, opened.pop_all())
+        keeper = opened.enter_context(Keeper(run, experiment.parameters.grace_in_s, experiment.folder, standby))
+        return _Supervision(keeper, builder, experiment.parameters, watch, standby, opened.pop_all())
 
 
 def _executed_here(experiment: Experiment, task: RunTask, builder: OutcomeBuilder, watch: Watch) -> RunInFlight:
@@ -243,13 +230,13 @@ class _Supervision:
 
     @property
     def descriptors(self) -> Collection[int]:
-        """Its records, and what its keeper tells; a keeper that was killed tells nothing more."""
+        """The pipes with its records, and from its keeper unless that was killed."""
         records = (self._keeper.records,) if self._awaits_records else ()
         return (*records, self._keeper.told) if self._end is None else records
 
     @property
     def due(self) -> float | None:
-        """The next deadline, or the next look at what a dead keeper has left behind."""
+        """The next deadline, or the next look at the processes of a dead keeper."""
         if self._end is not None:
             return self._look_at
         leave_by = None if self._leave_by is None or self._because else self._leave_by[0]

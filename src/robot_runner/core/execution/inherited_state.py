@@ -1,4 +1,4 @@
-"""What a forked run has of its parent, and leaves behind: files that callbacks left open, and random generators.
+"""The state that a forked run inherits from its parent: random generators, and open files of callbacks.
 
 A forked process ends without Python's own end, which would clean up and write what is its parent's. Without this, the
 table that `before_experiment` opens and each run adds a line to would lack these lines, and what a run opens and does
@@ -94,7 +94,7 @@ def _problem(file: Any, write: Any) -> Iterator[str]:
     try:
         write()
     except OSError as error:
-        yield f"what was written to {getattr(file, 'name', 'a file')} is not all in it: {error.strerror or error}"
+        yield f"{getattr(file, 'name', 'a file')} lacks part of what was written to it: {error.strerror or error}"
     except Exception:  # noqa: BLE001, S110 - it was closed or detached meanwhile
         pass
 

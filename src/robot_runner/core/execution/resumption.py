@@ -34,11 +34,11 @@ from robot_runner.core.storage.run_table_rows import RunTableRows
 
 
 class TableDisagreementError(ExecutionError):
-    """The run table on disk and the journal disagree about runs that were executed, and nobody said which counts."""
+    """The run table on disk and the journal disagree about executed runs, and the user has not chosen one."""
 
 
 class TableChoice(Enum):
-    """What counts where the run table on disk and the journal disagree about runs that were executed.
+    """The choice between the run table on disk and the journal where they disagree about executed runs.
 
     JOURNAL: what was executed; the file is put aside.
     FILE: what the file says; each difference is recorded as a deviation.
@@ -50,7 +50,7 @@ class TableChoice(Enum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Resumption:
-    """What the user asks for when an experiment is started or resumed.
+    """The user's options for starting or resuming an experiment.
 
     Attributes:
         accept_changes: go on though the config, its settings, or the run table differ from before.
@@ -75,7 +75,7 @@ class Resumption:
 
     @property
     def chosen_table(self) -> TableChoice | None:
-        """What counts where the run table and the journal disagree, or None where nobody has said."""
+        """The choice where the run table and the journal disagree; None where the user has made none."""
         return self.table or (TableChoice.FILE if self.accept_changes else None)
 
     @property
@@ -105,18 +105,39 @@ def selected_places(rows: RunTableRows, resumption: Resumption, warm_up: WarmUp 
     if resumption.only:
         wanted &= {*only.places, *again}
     ahead = [place for place in first.places if place in wanted]
-    return with_session_warm_ups(rows, [*ahead, *sorted(wanted.difference(ahead))], warm_up, skipped)
+    chosen = [*ahead, *sorted(wanted.difference(ahead))]
+    if warm_up is None:
+        return chosen
+    # What is executed first, or alone, is not to be measured cold: its warm-up runs come with it, and before it.
+    planned = list(rows.planned)
+    warmed = {warm_up.group(planned[place]) for place in chosen if not planned[place].is_warm_up}
+    late = {place for place in left if planned[place].is_warm_up and warm_up.group(planned[place]) in warmed}
+    late -= skipped.union(ahead)
+    return with_session_warm_ups(rows, [place for place in chosen if place not in late], warm_up, skipped, late)
 
 
 def with_session_warm_ups(
-    rows: RunTableRows, selected: list[int], warm_up: WarmUp | None, skipped: Collection[int] = ()
+    rows: RunTableRows,
+    selected: list[int],
+    warm_up: WarmUp | None,
+    skipped: Collection[int] = (),
+    late: Collection[int] = (),
 ) -> list[int]:
-    """Return these places with those of warm-up runs that are done, where each session warms up again."""
-    if warm_up is None or not warm_up.each_session:
+    """Return these places with those of the warm-up runs that come before them.
+
+    Args:
+        rows: the run table.
+        selected: the places.
+        warm_up: how the experiment warms up; each session does so again, where it says so.
+        skipped: warm-up runs that are not executed again.
+        late: warm-up runs that are still to do.
+    """
+    if warm_up is None or not (warm_up.each_session or late):
         return selected
-    places = (place for place in range(len(rows)) if rows.excluded(place) is None and place not in skipped)
-    done = [place for place in places if rows.status(place) is RunStatus.DONE]
-    return with_warm_ups_again(list(rows.planned), selected, done, warm_up)
+    places = range(len(rows)) if warm_up.each_session else ()
+    known = (place for place in places if rows.excluded(place) is None and place not in skipped)
+    again = [place for place in known if rows.status(place) is RunStatus.DONE]
+    return with_warm_ups_again(list(rows.planned), selected, [*again, *late], warm_up)
 
 
 def _left(rows: RunTableRows) -> list[int]:
@@ -129,7 +150,7 @@ def _left(rows: RunTableRows) -> list[int]:
 def _contradictions(
     rows: RunTableRows, again: set[int], skipped: set[int], chosen: Mapping[str, Chosen]
 ) -> Iterator[Finding]:
-    """Yield an error for each run that was named by its id and cannot be executed as asked for."""
+    """Yield an error for each run that was chosen by its id and cannot be executed."""
     for option, runs in chosen.items():
         for place in sorted(runs.named):
             where, reason = f"{option} {rows.run_id(place)}", rows.excluded(place)
@@ -148,8 +169,8 @@ ACCEPT = "--accept-changes"
 _CONFIG_FIX = f"Undo the change, accept it ({ACCEPT}), or choose another experiment_name."
 _FROM_OUTSIDE = ", and comes from outside the file, such as from an environment variable, or from hash()"
 _TABLE_FIX = (
-    f"Undo the change (--table journal does, in runs that are done), let the table count ({ACCEPT}), or choose another "
-    "experiment_name."
+    f"Undo the change (--table journal does, in runs that are done), let the table count (--table file, or {ACCEPT}), "
+    "or choose another experiment_name."
 )
 _PLAN_FIX = (
     "Nobody changed the table: create_run_table was changed, or it may plan otherwise in each process, as from random "
@@ -164,7 +185,7 @@ def config_files(experiment: Experiment, kept: Path) -> dict[Path, Path]:
 
 
 def config_changes(experiment: Experiment, *, of_design: bool = True, of_settings: bool = True) -> list[Finding]:
-    """Return how the config differs from what was executed before, line by line; nothing where it is new or the same.
+    """Return how the config differs from the one executed before, line by line; nothing where it is new or equal.
 
     Comments and blank lines are not a difference.
 
@@ -235,7 +256,7 @@ def table_differences(
 
 
 def plan_digest(plan: RunTable) -> str:
-    """Return the SHA-256, in hexadecimal digits, of what a plan says of each run: by it an accepted plan is known."""
+    """Return the SHA-256 of a plan, in hexadecimal digits: it identifies the plan that a user has accepted."""
     digest = hashlib.sha256()
     for run in plan:
         digest.update(repr((run.run_id, texts_of(run.combination), run.repetition, run.batch, run.is_warm_up)).encode())

@@ -8,7 +8,8 @@ from typing import Any
 
 import pytest
 
-from robot_runner.core.design.factor import Factor, full_size
+from robot_runner.core.design.factor import Factor
+from robot_runner.core.design.full_factorial import full_size
 from robot_runner.core.design.run_table_model import RunTableModel
 from robot_runner.core.errors import DesignError, PluginError
 from robot_runner.core.treatments import bind, treatment
@@ -67,8 +68,8 @@ def test_wrong_conditions_are_told_at_once_with_what_is_near() -> None:
     assert [str(finding) for finding in caught.value.findings] == [
         "factors: 'Resolution' applies when: there is no other factor 'Sensr' → Did you mean 'Sensor'?",
         "factors: 'Rate' applies when: 'lidr' is not a treatment of 'Sensor' → Did you mean 'lidar'?",
-        "factors: 'One' applies when: its conditions depend on itself → Remove one of the conditions.",
-        "factors: 'Other' applies when: its conditions depend on itself → Remove one of the conditions.",
+        "factors: 'One' applies when: the conditions are circular → Remove one of the conditions.",
+        "factors: 'Other' applies when: the conditions are circular → Remove one of the conditions.",
     ]
     with pytest.raises(DesignError, match="names no other factor"):
         Factor("Rate", [1], when="camera")

@@ -1,4 +1,4 @@
-"""Exits in time: what a callback has started and not ended is named, and does not keep the program for ever.
+"""Exits in time: threads and processes that a callback has left are named, and do not keep the program for ever.
 
 Python waits for threads that are not daemons, for children of `multiprocessing`, and for functions registered with
 `atexit`. It has no deadline and says nothing: a queue or a CI job would wait as well.
@@ -52,7 +52,7 @@ def _watch(code: int, tell_after: float, end_after: float) -> None:
 
 
 def _awaited() -> list[str]:
-    """Return what keeps the process alive: threads and children, or else the line of a function given to `atexit`."""
+    """Return in words why the process is alive: threads and children, or else a function given to `atexit`."""
     main = threading.main_thread()
     threads = [f"thread {each.name!r}" for each in threading.enumerate() if not each.daemon and each is not main]
     children = [f"child process {each.pid} ({each.name})" for each in _children()]

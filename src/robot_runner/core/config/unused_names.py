@@ -93,7 +93,7 @@ _HUMP = re.compile(r"(?<=[a-z0-9])(?=[A-Z])")
 _UNIT_OF_TIME = re.compile(r"_(?:in_)?(?:m?s|secs?|min|(?:milli)?seconds?|minutes?)$")
 
 
-def check_dead_names(loaded: LoadedConfig) -> list[Finding]:
+def check_unused_names(loaded: LoadedConfig) -> list[Finding]:
     """Return a warning for each public name of the config that looks like ours and is never called or read.
 
     Configs of other dialects, which have their own names, are checked by their rooms.

@@ -1,4 +1,4 @@
-"""The circumstances of an experiment, written down so that others can judge and repeat it: manifest, config, clocks."""
+"""The content of the manifest, by which others judge and repeat an experiment; and copies of its files."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from robot_runner.core.design.batches import as_configured, described_design
 from robot_runner.core.design.precision import rules_as_mapping
 from robot_runner.core.errors import ExecutionError, Finding, StorageError
 from robot_runner.core.execution.given_values import changed_values, given_values, is_from_file, is_reordered
-from robot_runner.core.execution.recovery import config_files
+from robot_runner.core.execution.resumption import config_files
 from robot_runner.core.plugin import Plugin, described_circumstances, installed_plugins
 from robot_runner.core.secret_names import hidden_settings
 from robot_runner.core.storage.git_repository import LARGEST_DIFF, repository_state, uncommitted_changes
 from robot_runner.core.storage.guarded_files import MissingFileError, make_folder, read_bytes, replace
 from robot_runner.core.storage.input_files import kept_contents, let_programs_execute
 from robot_runner.core.storage.journal import read_journal, utc_now
-from robot_runner.core.storage.layout import next_in
+from robot_runner.core.storage.layout import members_in, next_in
 from robot_runner.core.storage.manifest import describe_host, describe_software, is_damaged, read_manifest
 from robot_runner.core.storage.system_refusals import storage_errors
 from robot_runner.core.treatments import factors_of
@@ -95,6 +95,9 @@ def resumed_manifest(experiment: Experiment, manifest: dict[str, Any]) -> dict[s
     manifest["executions"].append(_execution(experiment) | {"changed": changed_circumstances(manifest)} | others)
     manifest.pop("given_to_extension", None)
     manifest["config"] = _config(experiment)  # the file may have another name by now, and is kept by it
+    # Values of plugins that are gone by now are in the table.
+    known = {each.get("name"): each for each in manifest.get("plugins") or ()}
+    manifest["plugins"] = list((known | {each.name: _described(each) for each in experiment.plugins}).values())
     if robots := experiment.parameters.robots:  # others than before may have been accepted
         manifest["robots"] = {**(manifest.get("robots") or {}), **robots}
     if experiment.model.batches:  # the journal has them, and an extension that broke off left the manifest behind
@@ -235,6 +238,8 @@ def keep_config(experiment: Experiment, manifest: dict[str, Any]) -> None:
         StorageError: the copy cannot be written.
     """
     keep_config_files(experiment)
+    # Once another config replaces this one, the number is its name below earlier_configs.
+    manifest["executions"][-1]["config_number"] = 1 + members_in(experiment.folder.earlier_configs)
     with storage_errors(experiment.folder.config, "written"):
         _keep_uncommitted(experiment, manifest)
 

@@ -51,7 +51,7 @@ class Pause:
         return () if self._input is None else (self._input,)
 
     def advance(self) -> bool:
-        """Read what was typed; return whether the pause is over."""
+        """Read the typed lines; return whether the pause is over."""
         if self._input is not None and select.select([self._input], [], [], 0)[0]:
             self.typed = os.read(self._input, 4096)
             return True
@@ -67,7 +67,7 @@ class Pause:
 
 
 class UntilEnding:
-    """What is awaited before a run, and is stopped once no more runs begin.
+    """A wait before a run, which is stopped once no more runs begin.
 
     Args:
         awaited: what is awaited.
@@ -80,7 +80,7 @@ class UntilEnding:
 
     @property
     def descriptors(self) -> Collection[int]:
-        """Those of what is awaited."""
+        """Those of the wait within."""
         return self._awaited.descriptors
 
     @property
@@ -90,7 +90,7 @@ class UntilEnding:
         return look if self._awaited.due is None else min(look, self._awaited.due)
 
     def advance(self) -> bool:
-        """Stop what is awaited where no more runs begin; return whether it is over."""
+        """Stop the wait within where no more runs begin; return whether it is over."""
         if self._is_ending():
             self._awaited.stop(NO_MORE_RUNS)
         return self._awaited.advance()
@@ -105,7 +105,7 @@ class UntilEnding:
 
 
 def until_ending(steps: Steps[_Result], is_ending: Callable[[], bool]) -> Steps[_Result]:
-    """Follow steps, and stop what they await once no more runs begin; return their result."""
+    """Follow steps, and stop their waits once no more runs begin; return their result."""
     with closing(steps):
         while True:
             try:
@@ -116,8 +116,8 @@ def until_ending(steps: Steps[_Result], is_ending: Callable[[], bool]) -> Steps[
             yield UntilEnding(awaited, is_ending)
 
 
-class Patience:
-    """What goes on while the orchestrator waits.
+class PollLoop:
+    """The work of the orchestrator while it waits.
 
     Args:
         interruption: the user's; it ends all that is awaited.
