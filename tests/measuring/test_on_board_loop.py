@@ -212,17 +212,37 @@ def test_processes_are_found_by_name_and_by_node(host: Callable[..., SshHost], f
         ["sh", "-c", "sleep 30; :", "--ros-args", "-r", "__node:=talker", "-r", "__ns:=/alice"],
         {**os.environ},
     )
+    starter = tmp_path / "ros2"  # waits for the node that it started, with all of its arguments
+    starter.write_text("sleep 30; :")
+    starting = os.posix_spawn("/bin/sh", ["sh", str(starter), "run", "nav", "talker", "__node:=talker"], {**os.environ})
     nodes = ["node:/talker", "node:/alice/talker", "node:/bob/talker", "node:/alice/talk", "node:/talk"]
     try:
         sampler = host(form).sample_processes(10.0, [f"name:{program.name}", *nodes, "name:nobody"])
         wait(0.3)
         last = sampler.stop()[-1]
     finally:
-        for child in (pid, node):
+        for child in (pid, node, starting):
             os.kill(child, 9)
             os.waitpid(child, 0)
     assert [one.count for one in last.processes] == [1, 1, 1, 0, 0, 0, 0]
     assert last.processes[0].memory > 0.0
+
+
+@pytest.mark.skipif(shutil.which("busybox") is None, reason="needs busybox")
+def test_nodes_and_subjects_are_found_on_a_computer_that_has_busybox_alone(
+    host: Callable[..., SshHost], tmp_path: Path
+) -> None:
+    subprocess.run(["busybox", "--install", "-s", str(tmp_path)], check=True)
+    command = ["env", "-i", f"PATH={tmp_path}", f"TMPDIR={tmp_path}", "sh", "-c", REMOTE_COMMAND]
+    words = ["sh", "-c", "read line # a", "--ros-args", "-r", "__node:=ear"]
+    environment = {**os.environ, "ROBOT_RUNNER_SUBJECT": "Nav"}
+    with subprocess.Popen(words, stdin=subprocess.PIPE, env=environment) as process:
+        sampler = host("sh", command=command).sample_processes(20.0, ["node:/ear", "subject:Nav", "node:/ea"])
+        wait_for_samples(1, sampler)
+        counts = [each.count for each in sampler.stop()[-1].processes]
+        assert process.stdin is not None
+        process.stdin.close()
+    assert counts == [1, 1, 0]
 
 
 @pytest.mark.parametrize("form", PYTHON_AND_SHELL)
@@ -254,9 +274,44 @@ def test_the_shell_loop_works_in_every_shell_that_is_here(host: Callable[..., Ss
     assert samples[-1].processes[0].count == 1
 
 
-def test_a_login_that_chatters_does_no_harm(host: Callable[..., SshHost]) -> None:
-    link = host(command=["sh", "-c", f"echo Welcome; echo 'robot-runner says hello'; {REMOTE_COMMAND}"])
+@pytest.mark.parametrize("chatter", ["echo Welcome; echo 'robot-runner says hello'", r"printf '\033]0;pi@robot\007'"])
+def test_a_login_that_chatters_does_no_harm(host: Callable[..., SshHost], chatter: str) -> None:
+    link = host(command=["sh", "-c", f"{chatter}; {REMOTE_COMMAND}"])
     assert link.read_files(["/dev/null"]) == [""]
+
+
+@pytest.mark.parametrize("form", PYTHON_AND_SHELL)
+def test_the_words_of_command_lines_are_told_apart(host: Callable[..., SshHost], form: str) -> None:
+    words = ["sh", "-c", "read line # a\tb", "--ros-args", "__node:=ear"]
+    with subprocess.Popen(words, stdin=subprocess.PIPE) as process:
+        (told,) = host(form).read_files([f"/proc/{process.pid}/cmdline"])
+        assert process.stdin is not None
+        process.stdin.close()
+    assert told.rstrip("\0").split("\0") == [word.replace("\t", " ") for word in words]
+
+
+@pytest.mark.parametrize("form", PYTHON_AND_SHELL)
+def test_a_line_with_tabs_is_read_as_one(host: Callable[..., SshHost], form: str, tmp_path: Path) -> None:
+    (tmp_path / "tabs").write_text("a\tb\t\n")
+    paths = [str(tmp_path / "tabs"), "/proc/sys/kernel/ostype"]
+    assert host(form).read_files(paths) == ["a b ", "Linux"]
+    sampler = host(form).sample_files(20.0, paths)
+    wait_for_samples(1, sampler)
+    assert {sample.lines for sample in sampler.stop()} == {("a b ", "Linux")}
+
+
+@pytest.mark.long
+@pytest.mark.skipif(shutil.which("localedef") is None, reason="needs localedef")
+def test_ps_is_understood_where_numbers_have_a_decimal_comma(host: Callable[..., SshHost], tmp_path: Path) -> None:
+    german = tmp_path / "de_DE.UTF-8"
+    subprocess.run(["localedef", "-i", "de_DE", "-f", "UTF-8", str(german)], capture_output=True, check=False)
+    if not german.is_dir():
+        pytest.skip("the sources of this locale are not installed")
+    settings = f"LOCPATH={tmp_path} LC_ALL=de_DE.UTF-8; export LOCPATH LC_ALL"
+    sampler = host("ps", command=["sh", "-c", f"{settings}; {REMOTE_COMMAND}"]).sample_utilisation(10.0)
+    wait_for_samples(1, sampler)
+    assert sampler.stop()
+    assert sampler.report().problems == ()
 
 
 def test_a_way_that_the_computer_does_not_have_is_refused(host: Callable[..., SshHost], tmp_path: Path) -> None:
@@ -289,6 +344,19 @@ def test_without_getconf_sysctl_and_nproc_the_cores_are_counted(host: Callable[.
         wait(0.2)
         sampler.stop()
         assert sampler._cores == os.cpu_count()
+
+
+def test_cores_are_those_of_the_computer_and_not_those_that_the_session_may_use(
+    host: Callable[..., SshHost], tmp_path: Path
+) -> None:
+    # Without getconf, nproc tells how many the session may use: fewer where some are isolated (isolcpus).
+    for tool in ("sh", "awk", "sleep", "date", "grep", "rm", "tr", "sed"):
+        (tmp_path / tool).symlink_to(shutil.which(tool) or tool)
+    (tmp_path / "nproc").write_text("#!/bin/sh\necho 77\n")
+    (tmp_path / "nproc").chmod(0o755)
+    sampler = host("sh", command=["env", f"PATH={tmp_path}", "sh", "-c", REMOTE_COMMAND]).sample_utilisation(10.0)
+    sampler.stop()
+    assert sampler._cores == os.cpu_count()
 
 
 def test_a_form_that_counts_in_whole_seconds_is_doubted_with_how_far_it_may_be_off(

@@ -196,11 +196,12 @@ def test_only_failures_of_the_window_count():
 
 
 @pytest.mark.parametrize("odd", [math.nan, math.inf, -math.inf])
-def test_a_reading_that_is_no_finite_number_costs_a_sample_as_one_that_fails(odd):
-    clock, readings = FakeClock(), iter([7.5, 7.5, odd, *[7.5] * 20])
+@pytest.mark.parametrize("shape", [lambda number: number, lambda number: (1, number)])
+def test_a_reading_that_is_no_finite_number_costs_a_sample_as_one_that_fails(odd, shape):
+    clock, readings = FakeClock(), iter(map(shape, [7.5, 7.5, odd, *[7.5] * 20]))
     sampler = PeriodicSampler(lambda: next(readings), rate=10.0, clock=clock)
     sampler.start()
     clock.sleep(1.0)
     sampling = sampler.stop()
-    assert set(sampling.readings) == {7.5}
-    assert (sampling.failures, sampling.first_failure) == (1, f"ValueError: the meter said {odd}")
+    assert set(sampling.readings) == {shape(7.5)}
+    assert (sampling.failures, sampling.first_failure) == (1, f"ValueError: the meter said {shape(odd)}")

@@ -68,6 +68,13 @@ def test_a_node_in_a_namespace_is_found_by_both_as_launch_files_give_them(select
     assert not matches(selector, 7, "listener", words[:-2]), "it is in no namespace"
 
 
+@pytest.mark.parametrize("start", ["python3 /opt/ros/bin/ros2 run nav", "sudo", "/usr/bin/timeout 60", "gdb --args"])
+def test_a_program_that_starts_a_node_and_waits_for_it_is_not_the_node(start):
+    node = ["/opt/talker", "--ros-args", "-r", "__node:=talker"]
+    assert matches("node:/talker", 7, "talker", node)
+    assert not matches("node:/talker", 7, start.split()[0], [*start.split(), *node])
+
+
 @pytest.mark.parametrize(
     ("words", "selector", "expected"),
     [

@@ -147,6 +147,25 @@ def test_an_energy_below_nothing_is_doubted(measure):
     ]
 
 
+@pytest.mark.parametrize("digits", [6, 2], ids=["ROS 1", "ROS 2"])
+def test_a_state_of_charge_that_is_the_voltage_is_doubted(measure, digits):
+    # turtlebot3_core and turtlebot3_node: percentage = voltage / 11.1, of a voltage in hundredths over ROS 2.
+    def say(time):
+        volts = round(12.2 - 0.01 * (time - 50.0) - 0.2 * (round(time * 10) % 7 < 3), digits)
+        return {"voltage": volts, "current": math.nan, "percentage": round(volts / 11.1, 2 + digits)}
+
+    problem = "the state of charge is the voltage / 11.1 V in all messages, as a TurtleBot3's board reckons it"
+    assert _problems(measure(say)) == [f"{problem}: ChargeUsed is how far the voltage fell"]
+
+
+def test_a_state_of_charge_that_falls_beside_a_voltage_that_sags_is_none_of_it(measure):
+    def say(time):
+        volts = 12.2 - 0.01 * (time - 50.0) - 0.2 * (round(time * 10) % 7 < 3)
+        return {"voltage": volts, "current": math.nan, "percentage": 0.9 - 0.01 * (time - 50.0)}
+
+    assert _problems(measure(say)) == []
+
+
 def test_a_state_of_charge_that_is_told_in_percent_is_doubted(measure):
     context = measure(lambda time: {"voltage": 12.0, "current": -0.5, "percentage": 85.0 - 0.01 * (time - 50.0)})
     assert _problems(context) == [

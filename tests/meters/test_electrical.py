@@ -82,6 +82,49 @@ def measure(tmp_path):
     return execute
 
 
+ONE = ElectricalReading(5.0, 12.0)
+
+
+@pytest.mark.parametrize(
+    ("read", "channels"),
+    [(lambda: ONE, ("",)), (lambda: (ONE, ONE), ("",)), (lambda: (ONE,), ("left", "right")), (lambda: None, ("",))],
+)
+def test_what_is_no_reading_for_each_channel_counts_as_failed_and_is_told(tmp_path, read, channels):
+    clock, plugin = FakeClock(), ScriptedMeter(lambda _: None, channels=channels)
+    plugin.read = read
+    context = make_context(tmp_path, plugin, robot=None, clock=clock)
+    measures = rehearse(context, plugin, mission=lambda: clock.sleep(2.0))
+    assert set(measures.values()) == {None}
+    said = f"the meter said {read()}, not an ElectricalReading for each channel" if read() else "the meter said nothing"
+    assert any(said in finding.problem for finding in context.broker.findings)
+
+
+def test_a_meter_that_cannot_be_closed_costs_no_run(tmp_path):
+    def close():
+        raise OSError("it is gone")
+
+    clock, plugin = FakeClock(), ScriptedMeter(lambda time: ElectricalReading(5.0, wobbling(time)))
+    plugin.close = close
+    context = make_context(tmp_path, plugin, robot=None, clock=clock)
+    assert rehearse(context, plugin, mission=lambda: clock.sleep(2.0))["MeanPower"] == 5.0
+    (finding,) = context.broker.findings
+    assert finding.problem == "the meter could not be closed: OSError: it is gone"
+
+
+@pytest.mark.parametrize(("beside", "left_out"), [(-1e9, 1e9), (1.7e9, 1.7e9), (-4.0, 4.0), (3.0, 3.0), (0.0, None)])
+def test_stamps_of_a_meter_by_another_clock_than_the_runs_are_told(measure, beside, left_out):
+    def say(time):
+        return ElectricalReading(5.0 + time % 0.3, wobbling(time), time=time + beside)
+
+    problems = measure(say)[1]
+    if left_out is None:
+        assert problems == []
+    else:
+        (problem,) = [each for each in problems if "stamps" in each]
+        assert "are they on the run's clock?" in problem
+        assert float(problem.split(" s ")[0].rpartition(" ")[2]) == pytest.approx(left_out, abs=0.2, rel=1e-3)
+
+
 def wobbling(time):
     return 12.0 + 0.001 * (round(time * 10) % 2)
 

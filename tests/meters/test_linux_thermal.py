@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import csv
+import json
 
 import pytest
 from tests.meters.fake_sysfs import write
@@ -95,6 +96,19 @@ def test_frequencies_are_kept_under_the_numbers_of_their_cores(measure, board):
     }
 
 
+def test_the_processor_of_amd_is_no_zone_and_is_told_all_the_same(measure, board):
+    # It tells its temperature in hwmon alone (Linux, Documentation/hwmon/k10temp.rst); acpitz is a place on the board.
+    write(board.root / "class/hwmon/hwmon2/name", "k10temp")
+    write(board.root / "class/hwmon/hwmon2/temp1_input", 71500)
+    write(board.root / "class/hwmon/hwmon3/name", "nvme")
+    write(board.root / "class/hwmon/hwmon3/temp1_input", 90000)
+    assert measure().measures["MaxTemperature"] == pytest.approx(71.5)
+    context = measure(zones=["k10temp"], name="Chosen")
+    assert context.measures["MeanTemperature"] == pytest.approx(71.5)
+    facts = json.loads((context.raw_data_folder / "quality.json").read_text())
+    assert facts["zones"] == ["k10temp"]
+
+
 def test_zones_can_be_chosen(measure):
     assert measure(zones=["acpitz"]).measures["MaxTemperature"] == pytest.approx(30.0)
 
@@ -107,6 +121,14 @@ def test_a_core_that_is_switched_off_and_on_was_not_throttled(measure, board, cl
     context = measure()
     assert context.measures["Throttled"] == 0.0
     assert problems(context) == []
+
+
+def test_the_firmware_of_a_raspberry_pi_5_tells_too(measure, board):
+    # Its bus has an address in its name (raspberrypi/linux, bcm2712.dtsi).
+    write(board.root / "devices/platform/soc@107c000000/soc@107c000000:firmware/get_throttled", "50005")
+    context = measure()
+    assert context.measures["Throttled"] == 100.0
+    assert "the supply voltage of the computer was too low for a time" in problems(context)
 
 
 def test_a_firmware_that_cannot_be_read_does_not_say_that_all_is_well(measure, board, clock):
@@ -124,15 +146,35 @@ def test_a_count_of_throttling_that_grows_is_warned_of(measure, board, clock):
     assert "the processor was held back in 1 of 21 samples, at up to 45 °C" in problems(context)
 
 
+def test_a_jetson_that_is_throttled_for_its_current_is_warned_of(measure, board, clock):
+    # NVIDIA, Jetson Linux Developer Guide, Platform Power and Performance: Over-Current Event Status from Sysfs.
+    count = board.root / "class/hwmon/hwmon3/oc3_event_cnt"
+    write(count, 27)
+    clock.at(5.25, lambda: write(count, 28))
+    assert measure().measures["Throttled"] == pytest.approx(100 / 21)
+
+
 @pytest.mark.parametrize(
     ("kind", "is_processor"),
-    [("Processor", True), ("cpufreq-cpu0", True), ("thermal-cpufreq-0", True), ("pwm-fan", False)],
+    [
+        ("Processor", True),
+        ("cpufreq-cpu0", True),
+        ("thermal-cpufreq-0", True),
+        ("idle-cpu0", True),
+        ("intel_powerclamp", True),
+        ("pwm-fan", False),
+    ],
 )
 def test_a_cooling_device_of_the_processor_tells_of_throttling_and_a_fan_does_not(measure, board, kind, is_processor):
     board.cooler(0, kind, 2)
     context = measure()
     assert context.measures["Throttled"] == (100.0 if is_processor else None)
     assert any("held back" in problem for problem in problems(context)) == is_processor
+
+
+def test_a_cooling_device_that_does_nothing_throttles_nothing(measure, board):
+    board.cooler(0, "intel_powerclamp", -1)  # as drivers/thermal/intel/intel_powerclamp.c says it
+    assert measure().measures["Throttled"] == 0.0
 
 
 @pytest.mark.parametrize(

@@ -115,7 +115,7 @@ def stand_in(folder, recorded=RECORDED) -> str:
     path.write_text(
         "#!/bin/sh\n"
         'while [ "$1" != --output ] && [ $# -gt 1 ]; do shift; done\n'
-        f"[ $# -gt 1 ] || {{ cat >&2 <<'END'\n{rows}END\nexit 0; }}\n"
+        f"[ $# -gt 1 ] || {{ sed 's/^[^;]*;//' >&2 <<'END'\n{rows}END\nexit 0; }}\n"  # as without intervals
         "trap 'exit 0' INT\n"
         f"echo '{heading}' >\"$2\"\n"
         "n=0; while :; do n=$((n+1)); sleep 0.05\n"
@@ -229,6 +229,76 @@ def test_an_event_that_had_no_counter_in_an_interval_is_unknown_there_and_doubte
     assert any(
         "'cycles' was counted in 0 % of the time only" in problem for _, problem in plugin.column_doubts(measured)
     )
+
+
+# After tools/perf/Documentation/intel-hybrid.txt: one event of a processor with two kinds of cores is counted for each.
+HYBRID = """\
+# started on Sat Nov 21 03:01:29 2026
+
+     0.200243912;400.71;msec;task-clock;400705362;100.00;2.004;CPUs utilized
+     0.200243912;6744979;;cpu_core/cycles/;400704330;100.00;;
+     0.200243912;1965552;;cpu_atom/cycles/;400704330;100.00;;
+"""
+
+
+def test_an_event_of_a_processor_with_two_kinds_of_cores_is_that_of_both(tmp_path):
+    plugin = PerfStat(events=["task-clock", "cycles"], interval_ms=100, program=stand_in(tmp_path, HYBRID))
+    plugin.period_s = 0.3
+    assert list(plugin.check(Circumstances())) == []
+    context = make_context(tmp_path, plugin, robot=None, clock=SystemClock())
+    rehearse(context, plugin, mission=lambda: time.sleep(0.4))
+    ratio = context.measures["Cycles"] / context.measures["TaskClock"]
+    assert ratio == pytest.approx((6_744_979 + 1_965_552) / 0.40071)
+    assert [finding.problem for finding in context.broker.findings if "cycles" in finding.problem] == []
+
+
+LINES_OF_KINDS = [
+    "0.2;500;;cpu_core/cycles/;200;40.00;;",
+    "0.2;700;;cpu_atom/cycles/;200;60.00;;",
+    "0.2;9;;cpu_core/instructions/;200;100.00;;",
+]
+
+
+@pytest.mark.parametrize(("is_of_process", "cycles", "counted"), [(False, 1200.0, "40.00"), (True, 620.0, "100.00")])
+def test_a_process_is_on_one_kind_of_cores_at_a_time_and_the_machine_on_both(is_of_process, cycles, counted):
+    # perf scales both counts of a process up, by the time that it was on the other kind of cores.
+    events = ["cycles", "cpu_core/instructions/"]
+    rows = parse_perf(LINES_OF_KINDS, events=events, is_of_process=is_of_process)
+    assert rows[0] is None
+    assert rows[1] == {"span": "0.2", "cycles": pytest.approx(cycles), "cycles counted": counted}
+    assert rows[2]["cpu_core/instructions/"] == "9"
+
+
+def test_a_process_may_be_on_any_of_three_kinds_of_cores():
+    counts = (("0", "20.00"), ("0", "30.00"), ("600", "50.00"))
+    lines = [f"0.2;{count};;{kind}/cycles/;0;{share};;" for kind, (count, share) in zip("abc", counts, strict=True)]
+    row = parse_perf(lines, events=["cycles"], is_of_process=True)[-1]
+    assert row == {"span": "0.2", "cycles": pytest.approx(300.0), "cycles counted": "100.00"}
+
+
+@pytest.mark.parametrize(("other", "share"), [("<not supported>", "100.00"), ("<not counted>", "0.00")])
+def test_what_one_kind_of_cores_does_not_count_is_unknown_of_the_machine(other, share):
+    lines = [LINES_OF_KINDS[0], f"0.2;{other};;cpu_atom/cycles/;0;{share};;"]
+    assert parse_perf(lines, events=["cycles"])[1]["cycles"] is None
+    row = parse_perf(lines, events=["cycles"], is_of_process=True)[1]
+    assert row == {"span": "0.2", "cycles": 500.0, "cycles counted": "40.00"}
+
+
+def test_an_interval_in_which_no_kind_of_cores_was_counted_is_doubted():
+    plugin = PerfStat(events=["cycles"], pid=4711)
+    lines = [f"0.4;<not counted>;;{kind}/cycles/;0;0.00;;" for kind in ("cpu_core", "cpu_atom")]
+    rows = parse_perf([*LINES_OF_KINDS[:2], *lines], events=["cycles"], is_of_process=True)
+    told, window = [row for row in rows if row], Window(0.0, 1.0)
+    measured = Measured(told, [0.2, 0.4], window, window, Ending(0, was_asked=True, was_killed=False, complaint=""))
+    assert told[1]["cycles"] is None
+    assert any("'cycles' was counted in 0 % of the time" in problem for _, problem in plugin.column_doubts(measured))
+
+
+def test_what_a_user_may_count_in_user_space_only_is_told_of_two_kinds_of_cores_as_well(tmp_path):
+    recorded = HYBRID.replace("/cycles/", "/cycles/u")
+    plugin = PerfStat(events=["task-clock", "cycles"], pid=os.getpid(), program=stand_in(tmp_path, recorded))
+    (finding,) = plugin.check(Circumstances())
+    assert finding.problem == "'cycles' may be counted in user space only, without the kernel: no value"
 
 
 def test_measures_are_named_after_events():

@@ -365,3 +365,38 @@ def test_a_page_that_breaks_off_within_a_number_is_no_reading(told):
         (finding,) = findings(f"http://127.0.0.1:{server.getsockname()[1]}/metrics", "supply_power_watts")
         thread.join(10.0)
     assert "breaks off" in finding.problem
+
+
+@pytest.mark.parametrize(
+    ("selector", "unit"),
+    [
+        # As node_exporter has them, in its collectors hwmon and powersupplyclass.
+        ("node_hwmon_power_average_watt", "W"),
+        ("node_hwmon_energy_joule_total", "J"),
+        ("node_hwmon_curr_amps", "A"),
+        ("node_power_supply_voltage_volt", "V"),
+        ("node_power_supply_current_ampere", "A"),
+        # As Scaphandre has them.
+        ("scaph_host_power_microwatts", "\N{MICRO SIGN}W"),
+        ("plug_power_milliwatts", "mW"),
+        ("node_hwmon_power_average_interval_seconds", "s"),
+        ("node_load1", "1"),
+        ("kilowatt", "1"),
+    ],
+)
+def test_the_unit_at_the_end_of_a_name_is_that_of_the_measure(selector, unit):
+    assert ScrapedMetric(selector=selector).yields.unit == unit
+
+
+@pytest.mark.parametrize("is_told", [True, False])
+def test_a_unit_that_only_the_help_of_a_metric_tells_is_a_warning_of_the_check(monkeypatch, is_told):
+    # As NVIDIA's DCGM exporter has it.
+    name = "DCGM_FI_DEV_POWER_USAGE"
+    page = f'# HELP {name} Power draw (in W).\n# TYPE {name} gauge\n{name}{{gpu="0"}} 25.1\n'
+    monkeypatch.setattr("robot_runner.meters.prometheus.HttpDevice.get", lambda *_, **__: page.encode())
+    measure = Measure("GpuPower", "W", "Power of the GPU.") if is_told else None
+    plugin = Prometheus("http://robot:9400/metrics", [ScrapedMetric(selector=name, measure=measure)])
+    found = list(plugin.check(Circumstances()))
+    assert [each.is_error for each in found] == ([] if is_told else [False])
+    assert is_told or "its name tells none; its help says 'Power draw (in W).'" in found[0].problem
+    plugin.open(None)

@@ -32,6 +32,12 @@ class TestRaplOnAFakeSysfs(ProfilerContract):
     def make_plugin(self) -> Rapl:
         return Rapl(domains=["dram"], root=self.powercap.root)
 
+    def make_context(self, folder, plugin, *, run_seed=1):
+        clock = FakeClock()
+        clock.every(0.05, lambda: self.powercap.draw(package=0.4, core=0.1, dram=0.05))
+        clock.sleep(0.025)  # so that no edge of a mission is where the counters step
+        return make_context(folder, plugin, robot=None, clock=clock, run_seed=run_seed)
+
 
 @pytest.fixture
 def clock():

@@ -337,15 +337,65 @@ def test_what_cannot_be_is_refused(settings):
         ("1.2 kW", 1200.0),
         ("12.5 V", 12.5),
         ("1.250E+01A,0.3", 12.5),
-        ("1.2 kWh", 1.2),  # as `energy_unit` says
         ("3,mA", 3.0),
+        ("0.5 AMPS", 0.5),
+        ("12.5 V DC\r", 12.5),
+        # Behind the reading, a Keithley 2001 tells by an N that it is normal (user's manual, figure 4-19).
+        ("+1.2000000E+01NVDC,+0000000.0SECS,+00012RDNG#,00EXTCHAN", 12.0),
+        ("+4.9990000E-01NADC", 0.4999),
+        ("150 NA", 150e-9),
     ],
 )
 def test_a_prefix_of_an_answers_unit_counts(answer, number):
     assert parse_number(answer) == pytest.approx(number)
 
 
-@pytest.mark.parametrize("answer", ["", "ERR", "9.9E37", "-9.9E37", "9.91E+37"])
+@pytest.mark.parametrize(
+    ("answer", "unit", "number"),
+    [
+        ("1.2 kWh", "kWh", 1.2),
+        ("1.2 kWh", "Wh", 1200.0),
+        ("500mWh", "Wh", 0.5),
+        ("1.2", "kWh", 1.2),
+        ("7 kJ", "J", 7e3),
+    ],
+)
+def test_an_energy_is_in_the_answers_unit_where_it_has_one(answer, unit, number):
+    assert parse_number(answer, unit) == pytest.approx(number)
+
+
+@pytest.mark.parametrize(
+    ("answer", "unit"), [("1.5A", "V"), ("12.0 V", "W"), ("1.5 kVA", "W"), ("3 Ah", "Wh"), ("+1.0E+01NVDC", "A")]
+)
+def test_an_answer_in_the_unit_of_another_quantity_is_refused(answer, unit):
+    with pytest.raises(ValueError, match=f"not {unit}"):
+        parse_number(answer, unit)
+
+
+def test_a_query_for_another_quantity_is_an_error_of_the_check(server):
+    server.answers["MEAS:CURR?"] = "12.0 V"
+    finding = only_finding(Scpi(server.resource))
+    assert "'12.0 V', which is not A" in finding.problem
+    assert "programming manual" in finding.fix
+
+
+@pytest.mark.parametrize(
+    "answer",
+    [
+        "",
+        "ERR",
+        "9.9E37",
+        "-9.9E37",
+        "9.91E+37",
+        "+1.2E+01OVDC",
+        "1 234.5",
+        "0x1F",
+        "1.2.3",
+        "12V 3A",
+        "50 OHM",
+        "5.0NAN",
+    ],
+)
 def test_answers_that_are_no_number_are_refused(answer):
     with pytest.raises(ValueError, match="the instrument answered"):
         parse_number(answer)

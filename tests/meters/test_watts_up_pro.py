@@ -13,6 +13,7 @@ import pytest
 from robot_runner.core.errors import LinkError, PluginError
 from robot_runner.core.events.context import SystemClock
 from robot_runner.core.events.measure import Origin
+from robot_runner.meters.watts_up_pro import parse_record
 from robot_runner.plugins import Circumstances
 from robot_runner.plugins.profilers import WattsUpPro
 from robot_runner.testing import Chunk, FakeClock, FakeSerialLine, ProfilerContract, make_context, rehearse
@@ -193,3 +194,12 @@ def test_a_meter_on_a_pseudo_terminal_is_read_through_pyserial(tmp_path):
     window = json.loads((context.raw_data_folder / "quality.json").read_text())["window"]
     assert context.measures["Energy"] == pytest.approx(42.0 * (window["end"] - window["start"]))
     assert meter.heard.endswith(b"#L,R,0;")
+
+
+@pytest.mark.parametrize("torn", [b"10532301,502", b"1053,2301,502,0", b"1053,2301,502#d,-,18,1053,2301,502"])
+def test_a_record_that_lacks_fields_is_damaged_as_where_the_line_lost_bytes(torn):
+    # A comma that is lost makes a megawatt of 105.3 W and 230.1 V.
+    whole = record(105.3, 230.1).decode()
+    assert parse_record(whole.rstrip(";\r\n"), 1.0).watts == pytest.approx(105.3)
+    with pytest.raises(ValueError, match=r"fields|invalid literal"):
+        parse_record(whole.rstrip(";\r\n").replace(",1053,2301,458", f",{torn.decode()}", 1), 1.0)

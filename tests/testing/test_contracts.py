@@ -155,6 +155,38 @@ class Silent(Stopwatch):
     def populate_run_data(self, context): ...
 
 
+class Blind(Stopwatch):
+    def populate_run_data(self, context):
+        for measure in self.measures:
+            context.publish(measure.name, None)
+
+
+class LateToStart(Stopwatch):
+    """It has its first reading only after some seconds, as a program that is started on a busy computer."""
+
+    def populate_run_data(self, context):
+        context.publish("Seconds", self.seconds if self.seconds > 20.0 else None)
+
+
+class Starved(Stopwatch):
+    """It samples, but too seldom for a value, as on a busy computer, and withholds it with a doubt."""
+
+    times: ClassVar = (0.1, 0.2)
+
+    def populate_run_data(self, context):
+        quality = quality_of([self.began + time for time in self.times], context.window, 10.0)
+        report_quality(context, quality, context.window)
+        context.publish("Seconds", None)
+
+
+class Unread(Starved):
+    times: ClassVar = ()
+
+
+class Unevaluated(Starved):
+    times: ClassVar = tuple(number / 10 for number in range(300))
+
+
 class Unitless(Stopwatch):
     measures: ClassVar = (Measure("Seconds", "", "Time between start and stop of the measurement."),)
 
@@ -266,10 +298,21 @@ def test_a_check_that_returns_no_findings_breaks_the_contract():
         Facts().test_its_check_finds_nothing_wrong_where_it_works()
 
 
+def test_a_profiler_whose_first_reading_comes_late_keeps_its_contract_on_a_busy_computer(tmp_path):
+    profiler_facts(LateToStart).test_a_good_run_publishes_every_measure(tmp_path)
+
+
+def test_a_profiler_that_withholds_the_value_of_too_few_samples_keeps_its_contract(tmp_path):
+    profiler_facts(Starved).test_a_good_run_publishes_every_measure(tmp_path)
+
+
 @pytest.mark.parametrize(
     ("broken", "fact", "complaint"),
     [
         (Silent, "a_good_run_publishes_every_measure", r"did not publish \['Seconds'\]"),
+        (Blind, "a_good_run_publishes_every_measure", "measured nothing in a good run: no value of Seconds"),
+        (Unread, "a_good_run_publishes_every_measure", "measured nothing in a good run: no value of Seconds"),
+        (Unevaluated, "a_good_run_publishes_every_measure", "measured nothing in a good run: no value of Seconds"),
         (Unitless, "a_good_run_publishes_every_measure", "declares no unit"),
         (Undeclared, "a_good_run_publishes_every_measure", "was not declared"),
         (Intruder, "two_of_its_kind_keep_their_raw_data_apart", "changed files of"),

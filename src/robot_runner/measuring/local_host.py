@@ -29,7 +29,7 @@ from robot_runner.measuring.host import (
     UtilisationSample,
     checked_words,
 )
-from robot_runner.measuring.on_board.loop import SCAN, YOUNG, names_of
+from robot_runner.measuring.on_board.loop import SCAN, YOUNG, is_node, names_of
 from robot_runner.measuring.periodic import PeriodicSampler, Sampling
 
 #: Which cores are switched on, such as `0,3-5`. Source: Linux, Documentation/admin-guide/cputopology.rst.
@@ -152,9 +152,7 @@ def matches(selector: str, pid: int, name: str, words: Sequence[str], subject: s
     if kind == "subject":
         return value == subject
     if kind == "node":
-        namespace, _, bare = value.strip("/").rpartition("/")
-        is_there = not namespace or f"__ns:=/{namespace}" in words or f"__ns:={namespace}" in words
-        return is_there and (f"__name:={bare}" in words or f"__node:={bare}" in words)
+        return is_node(value, list(words))
     return value in names_of(list(words), name)
 
 

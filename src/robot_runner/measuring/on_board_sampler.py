@@ -60,8 +60,11 @@ def _process(text: str) -> ProcessCounters:
 
 
 def file_line(field: str) -> str | None:
-    """Return the line of a file as it was sent, or None where it could not be read."""
-    return field[1:] if field.startswith("=") else None
+    """Return the line of a file as it was sent, or None where it could not be read.
+
+    A shell cannot keep NUL, which ends each word of a command line, and sends 1 instead.
+    """
+    return field[1:].replace("\1", "\0") if field.startswith("=") else None
 
 
 def file_sample(fields: Sequence[str], to_run: ClockMap, *, files: int) -> FileSample | None:

@@ -119,8 +119,8 @@ class PeriodicSampler(Generic[R]):
     ones are skipped, so that the samples neither drift nor come in bursts. On a clock that moves only during a sleep on
     it (a simulated robot's, a test's) `read` is called during that sleep, in the thread that sleeps.
 
-    A reading that raises an exception, or is NaN or infinite, is counted and left out; sampling goes on. So a meter
-    that fails costs samples, which shows in the quality, but not the mission.
+    A reading that raises an exception, or has a number that is NaN or infinite, is counted and left out; sampling goes
+    on. So a meter that fails costs samples, which shows in the quality, but not the mission.
 
     Args:
         read: returns one reading; it must not sleep on the run's clock.
@@ -262,9 +262,11 @@ def _checked(reading: R) -> R:
     """Return a reading.
 
     Raises:
-        ValueError: it is a number that is not finite: libraries of sensors return NaN where a reading failed.
+        ValueError: it is, or contains, a number that is not finite: libraries of sensors return NaN where a reading
+            failed.
     """
-    if isinstance(reading, Real) and not math.isfinite(reading):
+    numbers = reading if isinstance(reading, tuple | list) else (reading,)
+    if any(isinstance(each, Real) and not math.isfinite(each) for each in numbers):
         raise ValueError(f"the meter said {reading}")
     return reading
 

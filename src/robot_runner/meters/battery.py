@@ -27,6 +27,9 @@ _FULLEST = 1.5
 #: Steps of a state of charge are coarse if larger than this share of the charge used; steps are recognised where each
 #: value stays for this many messages on average.
 _COARSE, _STAYS = 0.1, 3
+#: A state of charge is the voltage if their ratio changes by less than this share of what the voltage does, where that
+#: has as many values.
+_AS_THE_VOLTAGE, _FEWEST = 0.2, 5
 #: MAVROS passes on what MAVLink has for unknown: UINT16_MAX mV, and -1 in steps of 10 mA, with its sign changed, and in
 #: those of 1 % (mavros, sys_status.cpp).
 _UNKNOWN_VOLTS, _UNKNOWN_AMPERES = 65.535, 0.01
@@ -216,6 +219,10 @@ class Battery(Profiler):
                 f"the robot says percentage = {fullest:.3g}, where {_TYPE} has 0 to 1: ChargeUsed may be 100-fold",
                 ("ChargeUsed",),
             )
+        if (volts := _full_voltage(heard)) is not None:
+            same = f"the state of charge is the voltage / {volts:.3g} V in all messages"
+            reckoned = "as a TurtleBot3's board reckons it: ChargeUsed is how far the voltage fell"
+            yield f"{same}, {reckoned}", ("ChargeUsed",)
         values = self._values(heard, window)
         joules = values.get("Energy")
         if joules is not None and joules < 0:
@@ -256,6 +263,20 @@ class Battery(Profiler):
             "ChargeUsed": None if charged is None else 0.0 - charged,
             "Energy": integrate(power),
         }
+
+
+def _full_voltage(heard: _Heard) -> float | None:
+    """Return the voltage, V, by which all messages divide theirs to tell the charge; None where they do not.
+
+    A battery's charge falls by several times as much as its voltage does, and not at all where that sags under load.
+    """
+    told = [(volts, share / 100) for volts, share in zip(heard.volts, heard.charge, strict=True) if share > 0]
+    known = [volts for volts, _ in told if math.isfinite(volts)]
+    ratios = [volts / share for volts, share in told if math.isfinite(volts)]
+    if len(set(known)) < _FEWEST:
+        return None
+    is_same = (max(ratios) - min(ratios)) / min(ratios) < _AS_THE_VOLTAGE * (max(known) - min(known)) / min(known)
+    return math.fsum(ratios) / len(ratios) if is_same else None
 
 
 def _coarse(used: float | None, step: float) -> str:

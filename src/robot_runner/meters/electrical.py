@@ -14,6 +14,7 @@ from robot_runner.measuring.series import Series, cut, energy, growth, mean, mea
 from robot_runner.meters.counters import unwrapped
 from robot_runner.meters.electrical_readings import (
     STEP_ERRORS,
+    ElectricalReading,
     Readings,
     backward_steps,
     doubts_about_readings,
@@ -25,6 +26,7 @@ from robot_runner.meters.electrical_readings import (
     step_error,
     stepped,
     told_series,
+    unreached_by_stamps,
 )
 from robot_runner.meters.polled import PolledProfiler
 
@@ -111,6 +113,17 @@ class ElectricalProfiler(PolledProfiler[Readings]):
         super().__init__(name=name, rate_hz=rate_hz)
         self.channels = tuple(channels)
         self.measures = electrical_measures(self.channels)
+
+    def checked(self, reading: Readings) -> Readings:
+        """Return a reading as it was taken.
+
+        Raises:
+            ValueError: it is not an `ElectricalReading` for each channel.
+        """
+        told = super().checked(reading)
+        if len(told) != len(self.channels) or not all(isinstance(each, ElectricalReading) for each in told):
+            raise ValueError(f"the meter said {told}, not an ElectricalReading for each channel")
+        return told
 
     def columns(self, sampling: Sampling[Readings]) -> Sequence[Column]:
         """Return the quantities of each channel that have values, and the meter's own stamps where it has some."""
@@ -225,3 +238,4 @@ class ElectricalProfiler(PolledProfiler[Readings]):
             yield from stepped(told_series(sampling, place, "power"), sampling, integral)
         yield from doubts_about_readings(sampling, place)
         yield from partly_told(sampling, place)
+        yield from unreached_by_stamps(sampling, place)

@@ -30,6 +30,8 @@ OFF_SHARE = 0.05
 STEP_ERRORS = 3
 #: Values are missing between two that are more than this many periods apart.
 _LONG_GAP = 1.5
+#: A stamp may be that much older than its reading, in periods, without a doubt.
+_FEW_PERIODS = 2.0
 #: Larger than any value of a meter in SI units, and small enough for sums and squares to stay finite.
 _BEYOND = 1e18
 #: Power contradicts voltage times current above this multiple: a small current that is rounded doubles the ratio, three
@@ -142,6 +144,15 @@ def partly_told(sampling: Sampling[Readings], place: int) -> Iterator[str]:
         is_known = any(getattr(reading, quantity) is not None for reading in readings)
         if is_known and told < len(readings) and _is_partial(_told_quality(sampling, place, quantity)):
             yield f"the {word}{{of}} was reported in {told} of {len(readings)} readings only"
+
+
+def unreached_by_stamps(sampling: Sampling[Readings], place: int) -> Iterator[str]:
+    """Yield a doubt if a meter's own stamps leave out an end of the window: values count at their stamps."""
+    stamps = sorted(stamp for readings in sampling.readings if (stamp := readings[place].time) is not None)
+    window, few = sampling.window, _FEW_PERIODS / sampling.rate
+    left_out = max(0.0, stamps[0] - window.start) + max(0.0, window.end - stamps[-1]) if stamps else 0.0
+    if left_out > max(OFF_SHARE * window.duration, few):
+        yield f"the meter's stamps{{of}} leave out {left_out:.5g} s of the window: are they on the run's clock?"
 
 
 def _is_partial(quality: SampleQuality) -> bool:

@@ -21,6 +21,7 @@ from robot_runner.meters.machine.machine_state import (
     EVER,
     FIRMWARE,
     HELD_BACK,
+    OVER_CURRENTS,
     PROCESSOR_COOLERS,
     UNDER_VOLTAGE,
     is_measured,
@@ -36,6 +37,8 @@ if TYPE_CHECKING:
 
 _MILLI = 1e-3
 _KILO = 1e3
+#: The drivers of AMD's processors, whose temperature is in hwmon and no zone (Linux, Documentation/hwmon/k10temp.rst).
+_NO_ZONES = ("k10temp", "zenpower")
 #: A zone in whole degrees, taken for thousandths, shows less than this, in degC, which a working processor has only
 #: for a moment: for less than this share of the samples.
 _WHOLE_DEGREES, _A_MOMENT = 0.15, 0.05
@@ -71,16 +74,19 @@ class _Machine(Meter[ThermalReading]):
 
     def __init__(self, root: Path, zones: Sequence[str] | None) -> None:
         thermal, cpus = root / "class" / "thermal", root / "devices" / "system" / "cpu"
-        self.zone_types = {path: text_in(path / "type") for path in sorted(thermal.glob("thermal_zone*"))}
+        self.zone_types = {path / "temp": text_in(path / "type") for path in sorted(thermal.glob("thermal_zone*"))}
+        chips = {path: text_in(path / "name") for path in sorted((root / "class" / "hwmon").glob("hwmon*"))}
+        self.zone_types |= {path / "temp1_input": chip for path, chip in chips.items() if chip in _NO_ZONES}
         chosen = [
             path for path, kind in self.zone_types.items() if (is_measured(kind) if zones is None else kind in zones)
         ]
-        self.temperatures = [path / "temp" for path in chosen if _temperature(path / "temp") is not None]
+        self.temperatures = [path for path in chosen if _temperature(path) is not None]
         self.frequencies = sorted(cpus.glob("cpu[0-9]*/cpufreq/scaling_cur_freq"), key=_core_number)
         self.counters = sorted(cpus.glob("cpu[0-9]*/thermal_throttle/*_throttle_count"))
+        self.counters += sorted(root.glob(OVER_CURRENTS.removeprefix("/sys/")))
         coolers = sorted(thermal.glob("cooling_device*"))
         self.coolers = [each / "cur_state" for each in coolers if text_in(each / "type").startswith(PROCESSOR_COOLERS)]
-        self.firmware = [path for path in (root / FIRMWARE.removeprefix("/sys/"),) if path.exists()]
+        self.firmware = sorted(root.glob(FIRMWARE.removeprefix("/sys/")))
 
     @property
     def tells_of_throttling(self) -> bool:
@@ -100,7 +106,9 @@ class _Machine(Meter[ThermalReading]):
             frequency=math.fsum(frequencies) / len(frequencies) * _KILO if frequencies else None,
             # If a core is switched off, the sum would fall without its counters, and rise when it comes back.
             throttle_count=int(sum(counts)) if counts and len(counts) == len(self.counters) else None,
-            is_held_back=any(states) or any(flag & HELD_BACK for flag in flags) if tells else None,
+            is_held_back=any(state > 0 for state in states) or any(flag & HELD_BACK for flag in flags)
+            if tells
+            else None,
             is_under_voltage=any(flag & UNDER_VOLTAGE for flag in flags),
             core_frequencies=tuple(clock * _KILO if clock else None for clock in clocks),
             silent_zones=len(self.temperatures) - len(temperatures),
@@ -136,8 +144,8 @@ class LinuxThermal(PolledProfiler[ThermalReading]):
 
     Args:
         name: distinguishes several instances; None for the class's name.
-        zones: the types of the thermal zones to read, such as `x86_pkg_temp` or `cpu-thermal`; None for all that
-            measure something.
+        zones: the types of the thermal zones to read, such as `x86_pkg_temp` or `cpu-thermal` (of AMD's processors the
+            driver, `k10temp`); None for all that measure something.
         rate_hz: readings a second, Hz.
         root: the folder of sysfs.
 
@@ -223,7 +231,7 @@ class LinuxThermal(PolledProfiler[ThermalReading]):
         if problem:
             raise PluginError(problem, where=self.name, fix=self._fix(machine))
         self._cores = list(map(_core_number, machine.frequencies))
-        zones = [machine.zone_types[path.parent] for path in machine.temperatures]
+        zones = [machine.zone_types[path] for path in machine.temperatures]
         self._facts = {"zones": zones, "cores": len(machine.frequencies), "throttle_counters": len(machine.counters)}
         return machine
 

@@ -7,6 +7,7 @@ import re
 import signal
 import subprocess
 from collections.abc import Iterable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
 from types import MappingProxyType
 from typing import ClassVar
@@ -46,12 +47,22 @@ _TRIAL_SECONDS = 10.0
 _MOST_PARANOID = 0
 
 
-def parse_perf(records: Sequence[str]) -> list[Row | None]:
+#: An event of a processor with several kinds of cores, such as `cpu_core/cycles/u` for `cycles:u`: perf counts it for
+#: each kind by itself (tools/perf/Documentation/intel-hybrid.txt).
+_OF_A_KIND = re.compile(r"[^/]+/([^/]+)/(\w*)")
+
+
+def parse_perf(records: Sequence[str], *, events: Sequence[str] = (), is_of_process: bool = False) -> list[Row | None]:
     """Return one row for each event and interval of `perf stat -I ... -x ;`.
 
     perf writes `<not counted>` in two cases (tools/perf/util/stat-display.c): with 100 %, the process did not execute
     in the interval, so the count is 0; with less, other events had the counters, so the count is unknown. It is also
     unknown for user_time and system_time, which perf does not count in intervals.
+
+    Args:
+        records: lines of its output.
+        events: that were asked for: one that is counted for several kinds of cores has one row, by this name.
+        is_of_process: whether perf counted for a process, not on all processors.
 
     Example:
         >>> parse_perf(["     1.000116;2003.19;msec;task-clock;2003192961;100.00;2.000;CPUs utilized"])
@@ -60,13 +71,49 @@ def parse_perf(records: Sequence[str]) -> list[Row | None]:
         [{'span': '1.000116', 'cycles': None, 'cycles counted': None}]
     """
     rows: list[Row | None] = []
+    last: dict[str, int] = {}  # the place of each event's last row
     before = now = 0.0
-    for record in records:
+    for place, record in enumerate(records):
         row = _row(record.split(_SEPARATOR))
-        if row is not None and (span := float(row["span"] or 0)) != now:
+        rows.append(row)
+        if row is None:
+            continue
+        if (span := float(row["span"] or 0)) != now:
             before, now = now, span
-        rows.append(row and {**row, **_timed(row, now - before)})
+        event = _asked_name(next(name for name in row if name != "span"), events)
+        row = {name: row[each] for name, each in zip(("span", event, event + _COUNTED), row, strict=True)}
+        sooner = rows[last[event]] if event in last else None
+        if sooner is not None and sooner["span"] == row["span"]:
+            row = _added(sooner, row, event, is_of_process=is_of_process)
+            rows[last[event]] = None
+        rows[place] = {**row, **_timed(row, now - before)}
+        last[event] = place
     return rows
+
+
+def _asked_name(event: str, events: Sequence[str]) -> str:
+    """Return the name by which an event was asked for, where it is that of one kind of cores."""
+    match = None if event in events else _OF_A_KIND.fullmatch(event)
+    whole = ":".join(filter(None, match.groups())) if match else event
+    return whole if whole in events else event
+
+
+def _added(row: Row, other: Row, event: str, *, is_of_process: bool) -> Row:
+    """Return the counts of two kinds of cores as one.
+
+    A process is on one of them at a time, and perf scales each count up to all the time: that is undone.
+    """
+    counts, shares = ([each[name] for each in (row, other)] for name in (event, event + _COUNTED))
+    if is_of_process:
+        pairs = zip(counts, shares, strict=True)
+        told = [(float(count), float(share or 0)) for count, share in pairs if count is not None]
+        counted = sum(share for _, share in told)
+        total = sum(count * share for count, share in told) / counted if counted else None
+        return {"span": row["span"], event: total, event + _COUNTED: f"{counted:.2f}"}
+    if None in counts:
+        return {"span": row["span"], event: None, event + _COUNTED: None if None in shares else "0.00"}
+    least = min(float(share or 0) for share in shares)
+    return {"span": row["span"], event: sum(float(count or 0) for count in counts), event + _COUNTED: f"{least:.2f}"}
 
 
 def _timed(row: Row, seconds: float) -> Row:
@@ -143,7 +190,7 @@ class PerfStat(CommandProfiler):
                 CommandColumn(event, _measure_of(event, pid), Aggregate.SUM, _seconds(event) or 1.0)
                 for event in self.events
             ],
-            parse=parse_perf,
+            parse=partial(parse_perf, events=self.events, is_of_process=pid is not None),
             time=TimeColumn("span", TimeKind.SINCE_START),
             period_s=interval_ms / 1000,
             stop_signal=signal.SIGINT,
@@ -210,15 +257,23 @@ class PerfStat(CommandProfiler):
         if trial.returncode:
             said = " ".join(trial.stderr.split())[:200]
             return [Finding.error(where, f"perf refuses: {said}", "Choose events that `perf list` names.")]
-        refused = [event for event in self.events if f"{_NOT_SUPPORTED};;{event};" in trial.stderr]
-        problem = "this machine cannot count"
         # If perf may count user space only, it appends `:u` to an event by itself, and so writes another name.
-        partial = [event for event in self.events if f";{event}:u;" in trial.stderr and event not in refused]
+        in_user_space = {f"{event}:u": event for event in self.events}
+        lines = [f"0;{line}" for line in trial.stderr.splitlines()]  # without intervals, perf writes no times
+        told = {
+            name: cell
+            for row in parse_perf(lines, events=[*self.events, *in_user_space])
+            if row
+            for name, cell in row.items()
+        }
+        refused = [event for event in self.events if told.get(event + _COUNTED, "") is None]
+        problem = "this machine cannot count"
+        partly = [event for name, event in in_user_space.items() if name in told and event not in refused]
         in_part = "may be counted in user space only, without the kernel: no value"
         fix = "Allow it: sudo sysctl kernel.perf_event_paranoid=1. Or ask for that: {!r}."
         return [
             *(Finding.warning(where, f"{problem} {event!r}: no value", "Leave it out.") for event in refused),
-            *(Finding.warning(where, f"{event!r} {in_part}", fix.format(f"{event}:u")) for event in partial),
+            *(Finding.warning(where, f"{event!r} {in_part}", fix.format(f"{event}:u")) for event in partly),
         ]
 
 

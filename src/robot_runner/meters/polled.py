@@ -113,6 +113,16 @@ class PolledProfiler(Profiler, Generic[R]):
         """Return when values were new, s: at each reading, unless a meter is read more often than it renews them."""
         return sampling.times
 
+    def checked(self, reading: R) -> R:
+        """Return a reading as it was taken.
+
+        Raises:
+            ValueError: it is none; it counts as failed.
+        """
+        if reading is None:
+            raise ValueError("the meter said nothing")
+        return reading
+
     def details(self) -> Mapping[str, Any]:
         """Return plain facts about the meter, for `quality.json`."""
         return {}
@@ -125,8 +135,8 @@ class PolledProfiler(Profiler, Generic[R]):
 
     def sampler(self, context: RobotRunnerContext) -> Sampler[R]:
         """Return a sampler, which calls the opened meter's `read` at the rate, in a thread of the run."""
-        self._meter = self.open(context)
-        sampler = PeriodicSampler(self._meter.read, rate=self.rate_hz, clock=machine_clock(context))
+        meter = self._meter = self.open(context)
+        sampler = PeriodicSampler(lambda: self.checked(meter.read()), rate=self.rate_hz, clock=machine_clock(context))
         live = self._live = LiveSamples(context.raw_data_folder / "samples.csv")
         sampler.on_reading = lambda time, reading: live.show(lambda: self._columns_of(time, reading))
         return sampler
@@ -143,12 +153,14 @@ class PolledProfiler(Profiler, Generic[R]):
 
     def stop_measurement(self, context: RobotRunnerContext) -> None:
         """Take the last reading and close the meter."""
-        del context
         if self._sampler is not None and self._sampling is None:
             self._sampling = self._sampler.stop()
         meter, self._meter = self._meter, None
         if meter is not None:
-            meter.close()
+            try:
+                meter.close()
+            except Exception as error:  # noqa: BLE001 - whatever a meter raises, its samples are there
+                context.warn(f"the meter could not be closed: {type(error).__name__}: {error}")
 
     def stop_run(self, context: RobotRunnerContext) -> None:
         """Write the raw samples: later than `stop_measurement`, so that other profilers need not wait for the disk."""

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from importlib import import_module
 from itertools import pairwise
+from operator import attrgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
@@ -29,7 +31,10 @@ _INSTALL = "Install it: pip install 'robot-runner[prometheus]'."
 #: A series is updated rarely if an update takes this many scrapes, and this share of the window: at each edge a counter
 #: may be behind by as much, and a gauge does not show changes in between.
 _SELDOM_SCRAPES, _SELDOM_COUNTED, _SELDOM_GAUGED = 3, 0.05, 0.2
-_RESTLESS = ("W", "J")  # units of what differs at each renewal, unless it is told in whole watts
+#: Units, with or without a prefix, of what differs at each renewal, unless it is told in whole watts.
+_RESTLESS = ("W", "J")
+#: The unit in the help of a metric, such as `Power draw (in W).` of NVIDIA's DCGM exporter.
+_UNIT_IN_HELP = re.compile(r"\(in [^)]+\)")
 _TEXT_FORMAT = "text/plain;version=0.0.4"
 
 #: The labels of one series, sorted.
@@ -122,7 +127,7 @@ class Prometheus(PolledProfiler[Scrape]):
         PluginError: no metric is named, two would yield measures with the same name, or the address is invalid.
 
     Example:
-        >>> [measure.unit for measure in Prometheus("http://robot:9100/metrics", ["node_hwmon_power_watts"]).measures]
+        >>> [measure.unit for measure in Prometheus("http://robot:9100/metrics", ["node_hwmon_power_watt"]).measures]
         ['W']
     """
 
@@ -184,9 +189,9 @@ class Prometheus(PolledProfiler[Scrape]):
         del context
         exporter = _Exporter(self)
         families = exporter.families()
-        for metric in self.metrics:
-            for finding in _metric_findings(self.name, metric, families):
-                raise LinkError(finding.problem, where=self.name, fix=finding.fix)
+        findings = (each for metric in self.metrics for each in _metric_findings(self.name, metric, families))
+        for finding in filter(attrgetter("is_error"), findings):
+            raise LinkError(finding.problem, where=self.name, fix=finding.fix)
         return exporter
 
     def columns(self, sampling: Sampling[Scrape]) -> Sequence[Column]:
@@ -231,7 +236,7 @@ class Prometheus(PolledProfiler[Scrape]):
     def _steps(self, sampling: Sampling[Scrape]) -> Iterator[str]:
         """Yield a doubt about the mean of a power that changed so much between scrapes that it may be off."""
         for place, metric in enumerate(self.metrics):
-            if metric.yields.unit == "W" and not metric.counts:
+            if metric.yields.unit.endswith("W") and not metric.counts:
                 power = self._gauge(sampling, place)
                 whole = abs(integrate(cut(power, sampling.window)) or math.inf)
                 if (share := step_error(power, sampling.window) / whole) > OFF_SHARE:
@@ -281,12 +286,16 @@ def _renewed_every(sampling: Sampling[Scrape], place: int, labels: Labels, metri
         return max((later - sooner for sooner, later in pairwise(stamps)), default=sampling.window.duration)
     series = _series(sampling, place, labels)
     steps = {later - sooner for sooner, later in pairwise(series.values) if later != sooner}
-    is_restless = metric.yields.unit in _RESTLESS and (metric.counts or any(value % 1 for value in series.values))
+    has_decimals = metric.counts or any(value % 1 for value in series.values)
+    is_restless = has_decimals and metric.yields.unit.endswith(_RESTLESS)
     return None if steps == {1} else renewed_every(series, is_restless=is_restless)
 
 
 def _metric_findings(where: str, metric: ScrapedMetric, families: Sequence[Any]) -> Iterator[Finding]:
-    """Yield errors for a metric that cannot be measured: missing, with other labels, several series, another type."""
+    """Yield errors for a metric that cannot be measured, and a warning for one whose unit is in its help alone.
+
+    It may be missing, have other labels, several series, or be of another type.
+    """
     samples = [sample for family in families for sample in family.samples]
     names = sorted({sample.name for sample in samples})
     if metric.name not in names:
@@ -309,7 +318,12 @@ def _metric_findings(where: str, metric: ScrapedMetric, families: Sequence[Any])
     elif len(chosen) > 1 and not metric.counts and metric.combine is None:
         fix = f"Choose one by its labels, or combine them: ScrapedMetric(..., combine='sum'). There are: {listed}."
         yield Finding.error(where, f"{metric.selector} has {len(chosen)} series", fix)
-    told = next(family.type for family in families if any(sample.name == metric.name for sample in family.samples))
+    family = next(each for each in families if any(sample.name == metric.name for sample in each.samples))
+    if metric.yields.unit == "1" and _UNIT_IN_HELP.search(family.documentation):
+        fix = f"Say so: ScrapedMetric(selector={metric.selector!r}, measure=Measure('Name', 'W', 'What it is.'))."
+        problem = f"the unit of {metric.selector} is 1, as its name tells none; its help says {family.documentation!r}"
+        yield Finding.warning(where, problem, fix)
+    told = family.type
     if told in {"counter", "gauge"} and (told == "counter") != metric.counts:
         fix = f"Say so: ScrapedMetric(selector={metric.selector!r}, is_counter={told == 'counter'})."
         yield Finding.error(where, f"the exporter says that {metric.name} is a {told}", fix)

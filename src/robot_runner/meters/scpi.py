@@ -21,14 +21,18 @@ from robot_runner.meters.polled import trial_findings
 
 _INSTALL = "Install it: pip install 'robot-runner[scpi]'."
 _ENERGY_UNITS = {"J": 1.0, "Wh": 3600.0, "kWh": 3.6e6}
-#: A number, and the prefix of its unit in answers such as `150 mA`; the unit of an energy counter is a parameter.
-_NUMBER = re.compile(
-    r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:E[-+]?\d+)?)(?:\s*([munk])(?:[WVA](?:[AD]C)?|volts?|amps?|watts?)\b)?",
-    re.IGNORECASE,
+_UNITS = {"power": "W", "voltage": "V", "current": "A"}
+#: A number, perhaps with an exponent, the word behind it, and further values behind a separator.
+_ANSWER = re.compile(
+    r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(E[-+]?\d+)?)\s*([a-zµ]*)(?:\s+[a-z]+)?[\s\0]*(?:[,;].*)?", re.IGNORECASE | re.DOTALL
 )
+#: A unit with its prefix, such as `mA`, `kWh`, `VDC`, `Amps`.
+_WORD = re.compile(r"([munkµ]?)(Wh|VAR|VA|W|V|Ah|A|J)(?:(?<=W)atts?|(?<=V)olts?|(?<=A)mps?)?(?:[AD]C)?", re.IGNORECASE)
+#: What a Keithley 2001 or 2002 tells of a reading, between its exponent and its unit: normal, overflow, relative.
+_STATUS = re.compile(r"([NOR])([VA][AD]C)")
 #: Two whole numbers with a comma between them may be one number.
 _COMMA = re.compile(r"\s*[-+]?\d+,\d+\s*[a-zA-Z]*\s*")
-_PREFIXES = {"m": 1e-3, "u": 1e-6, "n": 1e-9, "k": 1e3}
+_PREFIXES = {"": 1.0, "m": 1e-3, "u": 1e-6, "µ": 1e-6, "n": 1e-9, "k": 1e3}
 #: The values for overload and for no number. Source: SCPI-99, volume 1, section 7.2.1.4: 9.9E37 and 9.91E37.
 _NO_NUMBER = 9.9e37
 _LONGEST_QUEUE = 50
@@ -66,26 +70,38 @@ class SurplusError(ValueError):
         super().__init__(f"the instrument sends what it was not asked for, such as {surplus.strip()[:_SHOWN]!r}")
 
 
-def parse_number(answer: str) -> float:
-    """Return the number at the beginning of an instrument's answer, in W, V or A; further numbers may follow.
+def parse_number(answer: str, unit: str = "") -> float:
+    """Return the number at the beginning of an instrument's answer; further numbers may follow.
+
+    Args:
+        answer: with a unit behind the number, or without.
+        unit: of the result: `W`, `V`, `A`, or that of an energy; empty for that of the answer, without prefix.
 
     Example:
         >>> parse_number("+1.25000E+01,V"), parse_number("150mA")
         (12.5, 0.15)
 
     Raises:
-        ValueError: there is none, or it means an overload or no number.
+        ValueError: there is no number, it means an overload, or it has the unit of another quantity.
     """
-    match = _NUMBER.match(answer)
+    said, match = f"the instrument answered {answer.strip()[:_SHOWN]!r}", _ANSWER.fullmatch(answer)
     if _COMMA.fullmatch(answer):
-        problem = f"the instrument answered {answer.strip()[:_SHOWN]!r}, with a comma"
-        raise ValueError(f"{problem}: a decimal comma, or a second number that the query has to leave out")
+        raise ValueError(f"{said}, with a comma: a decimal comma, or a second number that the query has to leave out")
     if match is None:
-        raise ValueError(f"the instrument answered {answer.strip()[:_SHOWN]!r}, which is not a number")
-    number = float(match[1])
-    if not math.isfinite(number) or abs(number) >= _NO_NUMBER:
-        raise OverloadError(f"the instrument answered {answer.strip()[:_SHOWN]!r}: an overload, or no value")
-    return number * _PREFIXES.get((match[2] or "").lower(), 1.0)
+        raise ValueError(f"{said}, which is not a number")
+    number, exponent, word = float(match[1]), match[2], match[3]
+    status = _STATUS.fullmatch(word) if exponent else None
+    if not math.isfinite(number) or abs(number) >= _NO_NUMBER or (status and status[1] == "O"):
+        raise OverloadError(f"{said}: an overload, or no value")
+    told = _WORD.fullmatch(status[2] if status else word)
+    if not word:
+        return number
+    if told is None:
+        raise ValueError(f"{said}, which is not a number of {unit or 'a known unit'}")
+    wanted = _WORD.fullmatch(unit or told[2])
+    if wanted is None or told[2].lower() != wanted[2].lower():
+        raise ValueError(f"{said}, which is not {unit}")
+    return number * _PREFIXES[told[1].lower()] / _PREFIXES[wanted[1].lower()]
 
 
 class _Instrument:
@@ -117,7 +133,7 @@ class _Instrument:
         if self._resource is None:
             self._open()
         try:
-            told = {quantity: self._asked(query) for quantity, query in self._plugin.queries.items()}
+            told = {quantity: self._told(quantity, query) for quantity, query in self._plugin.queries.items()}
         except OverloadError:
             raise
         except Exception:
@@ -135,9 +151,13 @@ class _Instrument:
             with suppress(Exception):  # an error of the backend costs nothing here
                 resource.close()
 
-    def _asked(self, query: str) -> float:
+    def _told(self, quantity: str, query: str) -> float:
+        return parse_number(self._asked(query), _UNITS.get(quantity, self._plugin.energy_unit))
+
+    def _asked(self, query: str) -> str:
         self._refuse_surplus()
-        return parse_number(self._resource.query(query))
+        answer: str = self._resource.query(query)
+        return answer
 
     def _prepare(self) -> None:
         """Open the instrument, set it up, and try each query.
@@ -160,8 +180,8 @@ class _Instrument:
         complaint = self._complaint() if self._plugin.setup else ""
         if complaint:
             raise self._error(f"the instrument refuses its setup: {complaint}", _REFUSED)
-        for query in self._plugin.queries.values():
-            self._try(query)
+        for quantity, query in self._plugin.queries.items():
+            self._try(quantity, query)
         said = self._resource.query("*IDN?").strip()
         if said != self.identity:
             raise SurplusError(said)
@@ -195,9 +215,9 @@ class _Instrument:
         self._resource.timeout = milliseconds
         self._resource.read_termination = self._resource.write_termination = plugin.terminator
 
-    def _try(self, query: str) -> None:
+    def _try(self, quantity: str, query: str) -> None:
         try:
-            self._asked(query)
+            self._told(quantity, query)
         except SurplusError:
             raise
         except Exception as error:
@@ -208,7 +228,8 @@ class _Instrument:
                 complaint = self._complaint()
             self.close()
             problem = f"the instrument does not understand {query!r}: {complaint or _said(error)}"
-            raise self._error(problem, _REFUSED if complaint else str(error)) from error
+            is_refused = complaint or isinstance(error, ValueError)
+            raise self._error(problem, _REFUSED if is_refused else str(error)) from error
 
     def _complaint(self) -> str:
         """Return the first entry of the instrument's error queue; empty if there is no entry, or no queue."""
@@ -218,8 +239,8 @@ class _Instrument:
             self.close()
             self._open()
             return ""
-        match = _NUMBER.match(said)
-        return said if match and float(match[1]) else ""
+        match = re.match(r"[-+]?\d+", said)
+        return said if match and int(match[0]) else ""
 
     def _error(self, problem: str, said: str) -> PluginError:
         fix = next((fix for sign, fix in _REMEDIES if sign in said), _REMEDY)

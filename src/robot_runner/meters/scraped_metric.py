@@ -14,22 +14,25 @@ from robot_runner.core.events.measure import Measure, Over
 _SELECTOR = re.compile(r"([a-zA-Z_:][a-zA-Z0-9_:]*)(?:\{(.*)\})?")
 _LABEL = re.compile(r"""\s*([a-zA-Z_][a-zA-Z0-9_]*)\s*=\s*("[^"]*"|'[^']*')\s*(?:,|$)""")
 #: Endings of names that only counters have, and base units by the ending of a name. Source: Prometheus' documentation,
-#: Metric and label naming.
+#: Metric and label naming; node_exporter has some in the singular, and amps.
 BUCKETS = "_bucket"
 _COUNTER_ENDINGS = ("_total", "_sum", "_count", BUCKETS)
 _UNITS = {
-    "seconds": "s",
-    "bytes": "B",
-    "joules": "J",
-    "watts": "W",
-    "volts": "V",
-    "amperes": "A",
+    "second": "s",
+    "byte": "B",
+    "joule": "J",
+    "watt": "W",
+    "volt": "V",
+    "ampere": "A",
+    "amp": "A",
     "celsius": "°C",
     "hertz": "Hz",
-    "meters": "m",
-    "grams": "g",
+    "meter": "m",
+    "gram": "g",
     "percent": "%",
 }
+_PREFIXES = {None: "", "micro": "\N{MICRO SIGN}", "milli": "m", "kilo": "k"}
+_ENDING = re.compile(rf"_({'|'.join(filter(None, _PREFIXES))})?({'|'.join(_UNITS)})s?$")
 _COMBINATIONS: Mapping[str, Callable[[Sequence[float]], float]] = {
     "sum": math.fsum,
     "mean": statistics.fmean,
@@ -100,7 +103,8 @@ class ScrapedMetric:
         camel = "".join(part[:1].upper() + part[1:] for part in re.split("[_:]+", stem))
         suffix = "".join("_" + re.sub(r"\W+", "_", value).strip("_") for value in self.labels.values())
         told = stem.removesuffix("_sum")  # a histogram's or summary's sum has the unit of what it adds up
-        unit = next((unit for ending, unit in _UNITS.items() if told.endswith(f"_{ending}")), "1")
+        match = _ENDING.search(told)
+        unit = _PREFIXES[match[1]] + _UNITS[match[2]] if match else "1"
         what, over = ("increase", Over.SUM) if self.counts else ("mean", Over.MEAN)
         return Measure(camel + suffix, unit, f"{self.selector}, {what} over the measured window.", over=over)
 

@@ -23,7 +23,7 @@ from robot_runner.meters.electrical_readings import ElectricalReading, Readings,
 
 #: Source of commands and answers: Electronic Educational Devices, Watts up? PRO communications protocol (2009):
 #: `#L,W,3,E,<reserved>,<interval in s>;` begins to log to the line, `#L,R,0;` ends it. A record is
-#: `#d,-,18,<W x 10>,<V x 10>,<A x 1000>,<Wh x 10>,...;`, once an interval.
+#: `#d,-,18,<W x 10>,<V x 10>,<A x 1000>,<Wh x 10>,...;`, once an interval, with the number of its fields.
 _BEGIN = b"#L,W,3,E,1,1;"
 _END = b"#L,R,0;"
 _RECORD = "#d"
@@ -57,7 +57,7 @@ def parse_record(record: str, time: float) -> WattsUpSample | None:
     """Return the sample of a record without its `;`; None if it is not a data record.
 
     Example:
-        >>> parse_record("#d,-,18,1053,2301,502,0,0,0,0", time=1.0)
+        >>> parse_record("#d,-,7,1053,2301,502,0,0,0,0", time=1.0)
         WattsUpSample(time=1.0, watts=105.3, volts=230.1, amperes=0.502)
 
     Raises:
@@ -67,6 +67,8 @@ def parse_record(record: str, time: float) -> WattsUpSample | None:
     if fields[0] != _RECORD:
         return None
     watts, volts, milliamperes = (int(field) for field in fields[3:6])
+    if len(fields) - 3 != int(fields[2]):
+        raise ValueError(f"the record has {len(fields) - 3} fields of {fields[2]}")
     return WattsUpSample(time, watts / 10, volts / 10, milliamperes / 1000)
 
 

@@ -19,6 +19,7 @@ CALM = Conditions(
     throttle_counts=(4, 0),
     is_held_back=False,
     is_under_voltage=False,
+    over_currents=3,
 )
 FIRST = MachineState(0.0, 100.0, 2.0, {}, 1, 1000, 0.5, CALM)
 LAST = replace(FIRST, at=10.0, busy=105.0)
@@ -82,6 +83,10 @@ def test_ticks_of_a_very_short_run_are_no_load() -> None:
             "the kernel or the firmware held the processor back during r_7 (the hottest zone had 55 °C)",
         ),
         (conditions(firmware_flags=0b0101), "the firmware reported under-voltage and throttling during r_7"),
+        (
+            conditions(over_currents=5),
+            "the processor was throttled for its current or its voltage 2 times during r_7",
+        ),
         (conditions(governors=("powersave",)), "the CPU governor changed from performance to powersave during r_7"),
         (conditions(is_turbo=True), "turbo went from off to on during r_7"),
         (conditions(limit=0.6e9), "the highest frequency that is allowed went from 1,500 to 600 MHz during r_7"),
@@ -105,7 +110,18 @@ def test_what_was_seen_only_on_the_way_is_told_too() -> None:
 def test_flags_that_were_there_before_the_run_are_not_of_the_run() -> None:
     first = replace(FIRST, conditions=replace(CALM, firmware_flags=0b0001))
     last = conditions(firmware_flags=0b0001)
-    assert MachineReport("", "r_7", first, last, QUIET, (CALM,), Thresholds()).problems() == []
+    polled = (first.conditions,)
+    assert MachineReport("", "r_7", first, last, QUIET, polled, Thresholds()).problems() == []
+
+
+def test_flags_that_the_kernel_has_taken_back_since_are_told() -> None:
+    # The kernel asks the firmware every two seconds, and has it forget what has happened (drivers/hwmon/
+    # raspberrypi-hwmon.c): the flags of one look are about the two seconds before it.
+    first = replace(FIRST, conditions=replace(CALM, firmware_flags=0b0001))
+    polled = (CALM, replace(CALM, firmware_flags=0b0101), CALM)
+    report = MachineReport("", "r_7", first, LAST, QUIET, polled, Thresholds())
+    assert report.problems() == ["the firmware reported under-voltage and throttling during r_7"]
+    assert report.facts()["firmware"] == ["under-voltage", "throttling"]
 
 
 def test_a_computer_that_tells_nothing_is_not_doubted() -> None:

@@ -65,17 +65,33 @@ def test_a_fan_does_not_hold_the_processor_back_and_a_cooling_device_of_the_proc
     assert MachineFiles(SystemFiles(tmp_path)).conditions().is_held_back is False
     copy.write("sys/class/thermal/cooling_device0/cur_state", 1)
     assert MachineFiles(SystemFiles(tmp_path)).conditions().is_held_back is True
+    copy.write("sys/class/thermal/cooling_device0/cur_state", -1)  # that of intel_powerclamp, while it does nothing
+    assert MachineFiles(SystemFiles(tmp_path)).conditions().is_held_back is False
 
 
+#: A Raspberry Pi up to 4, and a Raspberry Pi 5 (raspberrypi/linux, bcm2712.dtsi).
+@pytest.mark.parametrize("bus", ["soc", "soc@107c000000"])
 @pytest.mark.parametrize(
     ("shown", "now", "ever"), [("0", False, 0), ("50005", True, 0b0101), ("80000", False, 0b1000), ("damaged", None, 0)]
 )
-def test_the_flags_of_a_raspberry_pi_are_understood(tmp_path: Path, shown: str, now: object, ever: int) -> None:
+def test_the_flags_of_a_raspberry_pi_are_understood(
+    tmp_path: Path, bus: str, shown: str, now: object, ever: int
+) -> None:
     copy = ComputerCopy(tmp_path)
-    copy.write("sys/devices/platform/soc/soc:firmware/get_throttled", shown)
-    conditions = MachineFiles(SystemFiles(tmp_path)).conditions()
+    copy.write(f"sys/devices/platform/{bus}/{bus}:firmware/get_throttled", shown)
+    files = MachineFiles(SystemFiles(tmp_path))
+    assert files.has_firmware
+    conditions = files.conditions()
     assert conditions.is_under_voltage is now
     assert conditions.firmware_flags == ever
+
+
+def test_over_currents_of_a_jetson_are_counted(tmp_path: Path) -> None:
+    copy = ComputerCopy(tmp_path)
+    assert MachineFiles(SystemFiles(tmp_path)).conditions().over_currents is None
+    for number, count in ((1, 0), (2, 15), (3, 37)):
+        copy.write(f"sys/class/hwmon/hwmon3/oc{number}_event_cnt", count)
+    assert MachineFiles(SystemFiles(tmp_path)).conditions().over_currents == 52
 
 
 def test_an_empty_folder_tells_nothing(tmp_path: Path) -> None:

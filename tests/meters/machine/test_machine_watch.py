@@ -12,13 +12,14 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 from tests.meters.machine.computer_copy import ComputerCopy
+from tests.waiting import wait_until
 
 from robot_runner.core.config.preparation import prepare
 from robot_runner.core.errors import PluginError
 from robot_runner.core.events.context import SystemClock
 from robot_runner.core.execution.notices import SilentObserver
 from robot_runner.core.execution.orchestrator import execute_experiment
-from robot_runner.meters.machine import others_load
+from robot_runner.meters.machine import machine_watch, others_load
 from robot_runner.meters.machine.watched_plugins import watch_machines
 from robot_runner.plugins.profilers import MachineWatch, PsUtil, Rapl
 from robot_runner.testing import ProfilerContract, make_context, rehearse
@@ -267,3 +268,24 @@ def test_looking_costs_less_than_a_thousandth_of_a_core_in_a_mission_of_a_minute
     spent = time.process_time() - before
     processes = sum(1 for path in Path("/proc").iterdir() if path.name.isdigit())
     assert spent < 0.06 * max(1.0, processes / 200)
+
+
+def test_a_moment_of_under_voltage_of_a_raspberry_pi_is_seen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    # Its kernel takes the firmware's flags back after two seconds: a look every five seconds would miss them.
+    monkeypatch.setattr(machine_watch, "_PERIOD", 1e6)
+    monkeypatch.setattr(machine_watch, "_PERIOD_OF_FLAGS", 0.01)
+    copy, file = ComputerCopy(tmp_path), "sys/devices/platform/soc/soc:firmware/get_throttled"
+    copy.write(file, "0")
+    watch = MachineWatch(root=tmp_path)
+
+    def has_looked() -> bool:
+        return any(each.firmware_flags for each in watch._watched[0]._poller._readings)
+
+    def mission() -> None:
+        copy.write(file, "50000")
+        wait_until(has_looked)
+        copy.write(file, "0")
+
+    context = watched(tmp_path / "run", watch, mission)
+    told = [finding.problem for finding in context.broker.findings]
+    assert any("the firmware reported under-voltage and throttling" in problem for problem in told)

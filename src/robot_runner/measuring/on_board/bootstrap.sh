@@ -10,7 +10,8 @@ fi
 if ps -A -o pid= -o time= -o rss= -o args= >/dev/null 2>&1 && awk 'BEGIN { exit 0 }' 2>/dev/null; then
     forms="$forms ps"
 fi
-printf 'robot-runner\t1\t%s\n' "$forms"
+# In a line of its own, as what a login writes (the title of a terminal, say) may not end in a line feed.
+printf '\nrobot-runner\t1\t%s\n' "$forms"
 read -r form || exit 0
 program=
 newline='

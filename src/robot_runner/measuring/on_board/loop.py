@@ -40,6 +40,7 @@ PAGE = os.sysconf("SC_PAGE_SIZE")
 CORES = os.sysconf("SC_NPROCESSORS_ONLN")
 SINCE_BOOT = 7  # CLOCK_BOOTTIME of Linux, for which Python has a name from 3.7 on
 OPTIONS_WITH_VALUE = ("-X", "-W")  # of Python
+STARTERS = {"ros2", "sudo", "timeout", "gdb", "xterm"}  # have the whole command line of a node, and wait for it
 INTERPRETERS = ("python", "perl", "ruby", "node", "sh", "bash", "dash")
 SCAN = 0.04  # seconds at least between two searches for new processes and checks of young ones, which are expensive
 YOUNG = 5.0  # seconds since its start during which a process may still execute another program
@@ -198,11 +199,15 @@ def is_match(kind: str, value: str, pid: str, names: "set[str]", words: "list[st
     if kind == "subject":
         mark = f"ROBOT_RUNNER_SUBJECT={value}".encode()
         return mark in first_bytes(f"/proc/{pid}/environ", -1).split(b"\0")
-    if kind == "node":
-        namespace, _, bare = value.strip("/").rpartition("/")
-        is_there = not namespace or "__ns:=/" + namespace in words or "__ns:=" + namespace in words
-        return is_there and ("__name:=" + bare in words or "__node:=" + bare in words)
-    return value in names
+    return is_node(value, words) if kind == "node" else value in names
+
+
+def is_node(name: str, words: "list[str]") -> bool:
+    """Whether a command line is that of the node of this name."""
+    namespace, _, bare = name.strip("/").rpartition("/")
+    is_there = not namespace or "__ns:=/" + namespace in words or "__ns:=" + namespace in words
+    is_named = "__name:=" + bare in words or "__node:=" + bare in words
+    return is_there and is_named and STARTERS.isdisjoint(map(os.path.basename, words[:2]))
 
 
 class Loop:

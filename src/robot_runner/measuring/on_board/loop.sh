@@ -2,7 +2,8 @@
 # `ps` for any other. It has the same requests as loop.py. This shell answers them; a second one samples.
 
 tab=$(printf '\t')
-# On Linux no tool is needed for the number of cores: each has a line in a file.
+# On Linux no tool is needed for the number of cores: each has a line in a file. nproc would tell how many this shell may
+# use, which are fewer where some are isolated.
 count_cores() {
     cores=0
     while read -r name _; do
@@ -11,8 +12,8 @@ count_cores() {
     [ "$cores" -gt 0 ]
 }
 
-cores=$(getconf _NPROCESSORS_ONLN 2>/dev/null || sysctl -n hw.ncpu 2>/dev/null || nproc 2>/dev/null) ||
-    { [ -r /proc/stat ] && count_cores; } || cores=
+{ [ -r /proc/stat ] && count_cores; } ||
+    cores=$(getconf _NPROCESSORS_ONLN 2>/dev/null || sysctl -n hw.ncpu 2>/dev/null || nproc 2>/dev/null) || cores=
 page=$(getconf PAGESIZE 2>/dev/null || echo 4096)
 tick=$(getconf CLK_TCK 2>/dev/null || echo 100)
 sampler=
@@ -38,10 +39,16 @@ wall_clock() {
     esac
 }
 
-# Set $text to the first line of a file; fail if it cannot be read.
+# Set $text to the first line of a file, with blanks for tabs, which separate fields; fail if it cannot be read.
 first_line() {
     text=
-    { IFS= read -r text <"$1"; } 2>/dev/null || [ -n "$text" ]
+    { IFS= read -r text <"$1"; } 2>/dev/null || [ -n "$text" ] || return 1
+    while :; do
+        case $text in
+            *"$tab"*) text="${text%%"$tab"*} ${text#*"$tab"}" ;;
+            *) return 0 ;;
+        esac
+    done
 }
 
 files_line() {
@@ -148,19 +155,20 @@ scan_names() {
     done
 }
 
-# The first grep searches for a part of the command line or the environment, and finds itself, too; the second one
-# searches for a whole word of it.
+# Each word of a command line and of an environment ends in NUL (-z: busybox searches a line up to its first NUL). The
+# first grep finds itself, too, which has ended when the second one looks.
 scan_files() {
-    for file in $(grep -ls -F -e "$2" -e "$3" /proc/[0-9]*/"$1"); do
+    for file in $(grep -lszx -F -e "$2" -e "$3" /proc/[0-9]*/"$1"); do
         pid=${file#/proc/}
         pid=${pid%"/$1"}
-        if { tr '\0' '\n' <"$file"; } 2>/dev/null | grep -qx -F -e "$2" -e "$3"; then
+        if grep -qszx -F -e "$2" -e "$3" "$file"; then
             matches="$matches $place:$pid"
         fi
     done
 }
 
-# A node's name and its namespace are separate words: `-r __node:=ear -r __ns:=/alice`.
+# A node's name and its namespace are separate words: `-r __node:=ear -r __ns:=/alice`. What starts a node and waits for
+# it, such as `ros2 run`, has these words, too.
 scan_nodes() {
     bare=${value##*/}
     space=${value%"$bare"}
@@ -170,8 +178,9 @@ scan_nodes() {
     matches=
     scan_files cmdline "__name:=$bare" "__node:=$bare"
     for match in $matches; do
-        if [ -z "$space" ] || { tr '\0' '\n' <"/proc/${match#*:}/cmdline"; } 2>/dev/null |
-            grep -qx -F -e "__ns:=/$space" -e "__ns:=$space"; then
+        words=$({ tr '\0' '\n' <"/proc/${match#*:}/cmdline"; } 2>/dev/null)
+        if printf '%s\n' "$words" | head -n 2 | grep -qE '(^|/)(ros2|sudo|timeout|gdb|xterm)$'; then continue; fi
+        if [ -z "$space" ] || printf '%s\n' "$words" | grep -qx -F -e "__ns:=/$space" -e "__ns:=$space"; then
             found="$found $match"
         fi
     done
@@ -208,7 +217,8 @@ keep_asking_ps() {
         memory=$(($(sysctl -n hw.memsize 2>/dev/null || echo 0) / 1024))
     selectors=$(printf '%s\n' "$@")
     parent=$$
-    export selectors cores memory period parent
+    LC_ALL=C # else some awk write and read decimal commas, and ps writes some
+    export selectors cores memory period parent LC_ALL
     exec awk '
         function seconds(text, days, part, count, place, sum) {
             if (split(text, part, "-") == 2) { days = part[1]; text = part[2] }
@@ -232,6 +242,8 @@ keep_asking_ps() {
                 if (base(words[4]) == value) return 1
                 return base(words[4]) ~ /^(python|perl|ruby|node|sh|bash|dash)/ && base(words[5]) == value
             }
+            if (base(words[4]) ~ /^(ros2|sudo|timeout|gdb|xterm)$/ || base(words[5]) ~ /^(ros2|sudo|timeout|gdb|xterm)$/)
+                return 0
             space = value
             sub(/^\//, "", space)
             if (!sub(/\/[^\/]*$/, "", space)) space = ""
@@ -407,10 +419,17 @@ recover() {
     printf 'end\t-\n'
 }
 
+# Set $text to a command line, with \001 for the NUL behind each word, which a shell cannot keep; fail if it is empty.
+command_line() {
+    text=$({ tr '\000\t\n' '\001  ' <"$1"; } 2>/dev/null)
+    [ -n "$text" ]
+}
+
 read_files() {
     line=lines
     for file in "$@"; do
-        if first_line "$file"; then line="$line$tab=$text"; else line="$line$tab-"; fi
+        case $file in /proc/*/cmdline) look=command_line ;; *) look=first_line ;; esac
+        if "$look" "$file"; then line="$line$tab=$text"; else line="$line$tab-"; fi
     done
     printf '%s\n' "$line"
 }

@@ -6,6 +6,9 @@ import math
 import mmap
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import reduce
+from itertools import pairwise
+from operator import or_
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.words import counted, enumerated
@@ -97,6 +100,7 @@ class MachineReport:
             "frequency_limit_hz": conditions.limit,
             "temperature_degc": _spread(temperatures),
             "throttlings": self._throttlings,
+            "over_currents": self._over_currents,
             "firmware": [word for bit, word in _FLAGS.items() if self._fresh_flags & bit],
         }
 
@@ -136,6 +140,9 @@ class MachineReport:
             yield f"the processor was throttled for heat {times} during {self.run_id}{heat}"
         elif any(each.is_held_back for each in self.polled):
             yield f"the kernel or the firmware held the processor back during {self.run_id}{heat}"
+        if self._over_currents:
+            often = counted(self._over_currents, "time")
+            yield f"the processor was throttled for its current or its voltage {often} during {self.run_id}"
         flags = self._fresh_flags
         if any(each.is_under_voltage for each in self.polled):
             flags |= 1
@@ -183,8 +190,15 @@ class MachineReport:
         return max(max(0, later - sooner) for sooner, later in zip(before, after, strict=True))
 
     @property
+    def _over_currents(self) -> int | None:
+        grown = _growth(self.before.conditions.over_currents, self.after.conditions.over_currents)
+        return None if grown is None else int(grown)
+
+    @property
     def _fresh_flags(self) -> int:
-        return self.after.conditions.firmware_flags & ~self.before.conditions.firmware_flags
+        looks = (self.before.conditions, *self.polled, self.after.conditions)
+        fresh = (later.firmware_flags & ~sooner.firmware_flags for sooner, later in pairwise(looks))
+        return reduce(or_, fresh)
 
 
 def _growth(before: float | None, after: float | None) -> float | None:

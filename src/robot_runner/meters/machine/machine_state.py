@@ -25,12 +25,18 @@ _PF_KTHREAD = 0x00200000  # linux/sched.h
 _PLAUSIBLE = (-40.0, 150.0)
 #: Zones that measure nothing: NVIDIA's Jetsons always show 100 degC there (balena-os/balena-jetson, issue 142).
 _DUMMY_ZONES = ("PMIC-Die",)
-#: Cooling devices that throttle the processor; the others are fans and the like.
-PROCESSOR_COOLERS = ("Processor", "cpufreq", "thermal-cpufreq", "cpuidle", "thermal-idle")
+#: Cooling devices that throttle the processor, as they are called in newer and older kernels; the others are fans and
+#: the like. intel_powerclamp says -1 while it does nothing (drivers/thermal/cpu*_cooling.c, intel/intel_powerclamp.c).
+PROCESSOR_COOLERS = ("Processor", "cpufreq", "thermal-cpufreq", "idle-", "cpuidle", "thermal-idle", "intel_powerclamp")
 #: The firmware of a Raspberry Pi (raspberrypi/linux, pull request 2397), in hexadecimal: bit 0 is under-voltage; bits
-#: 1 to 3 are a capped frequency, throttling and the soft temperature limit; 16 bits higher, the same since the start.
-FIRMWARE = "/sys/devices/platform/soc/soc:firmware/get_throttled"
+#: 1 to 3 are a capped frequency, throttling and the soft temperature limit; 16 bits higher, the same since the start,
+#: or within two seconds where the driver of its voltage sensor asks (drivers/hwmon/raspberrypi-hwmon.c), as it does in
+#: Raspberry Pi OS. On a Raspberry Pi 5 it is `soc@107c000000` (bcm2712.dtsi).
+FIRMWARE = "/sys/devices/platform/soc*/soc*:firmware/get_throttled"
 UNDER_VOLTAGE, HELD_BACK, EVER = 0b0001, 0b1110, 16
+#: How often a Jetson was throttled as it drew too much current, or its voltage fell, since it started. Source: NVIDIA,
+#: Jetson Linux Developer Guide, Platform Power and Performance.
+OVER_CURRENTS = "/sys/class/hwmon/hwmon*/oc[0-9]_event_cnt"
 _CPU = "/sys/devices/system/cpu"
 #: 1 switches turbo off in the first (Intel), and on in the second (the others): Linux, admin-guide/pm.
 _NO_TURBO, _BOOST = f"{_CPU}/intel_pstate/no_turbo", f"{_CPU}/cpufreq/boost"
@@ -149,7 +155,10 @@ class Conditions:
             core has a counter of its package. None where there are no such counters, or one cannot be read.
         is_held_back: whether the kernel or the firmware throttles it now.
         is_under_voltage: whether the supply voltage is too low now.
-        firmware_flags: a Raspberry Pi's flags of what is happening now or has happened since the computer started.
+        over_currents: how often a Jetson was throttled for its current or its voltage since it started; None where that
+            is not counted, or a counter cannot be read.
+        firmware_flags: a Raspberry Pi's flags of what is happening now or has happened before: since the computer
+            started, or within two seconds.
     """
 
     governors: tuple[str, ...] = ()
@@ -160,6 +169,7 @@ class Conditions:
     throttle_counts: tuple[int, ...] | None = None
     is_held_back: bool | None = None
     is_under_voltage: bool | None = None
+    over_currents: int | None = None
     firmware_flags: int = 0
 
 
@@ -216,20 +226,28 @@ class MachineFiles:
             for path, kind in kinds.items()
             if "cooling_device" in path and (kind or "").startswith(PROCESSOR_COOLERS)
         ]
+        self._firmware, self._over_currents = files.list_files(FIRMWARE), files.list_files(OVER_CURRENTS)
         self._cheap = [
-            *(_NO_TURBO, _BOOST, FIRMWARE),
+            *(_NO_TURBO, _BOOST),
+            *self._firmware,
             *self._governors,
             *self._frequencies,
             *self._limits,
             *self._temperatures,
             *self._counters,
+            *self._over_currents,
             *self._coolers,
         ]
 
     @property
     def tells_of_conditions(self) -> bool:
         """Whether there are files of conditions of the processor that change by themselves."""
-        return bool(self._frequencies or self._temperatures or self._coolers)
+        return bool(self._frequencies or self._temperatures or self._coolers or self._firmware)
+
+    @property
+    def has_firmware(self) -> bool:
+        """Whether there is a Raspberry Pi's firmware, whose flags may be taken back after two seconds."""
+        return bool(self._firmware)
 
     def conditions(self) -> Conditions:
         """Read the conditions of the processor: a few files for each core."""
@@ -266,7 +284,8 @@ class MachineFiles:
 
         temperatures = [each * _MILLI for each in numbers(self._temperatures)]
         counts, coolers = numbers(self._counters), numbers(self._coolers)
-        flags = _hexadecimal(texts[FIRMWARE])
+        over = numbers(self._over_currents)
+        flags = next((_hexadecimal(texts[path]) for path in self._firmware), None)
         tells = bool(coolers) or flags is not None
         now = flags or 0
         return Conditions(
@@ -276,8 +295,9 @@ class MachineFiles:
             limit=_mean(numbers(self._limits), _KILO),
             temperature=max(filter(is_plausible, temperatures), default=None),
             throttle_counts=tuple(map(int, counts)) if counts and len(counts) == len(self._counters) else None,
-            is_held_back=any(coolers) or bool(now & HELD_BACK) if tells else None,
+            is_held_back=any(state > 0 for state in coolers) or bool(now & HELD_BACK) if tells else None,
             is_under_voltage=None if flags is None else bool(now & UNDER_VOLTAGE),
+            over_currents=int(sum(over)) if over and len(over) == len(self._over_currents) else None,
             firmware_flags=(now | now >> EVER) & (UNDER_VOLTAGE | HELD_BACK),
         )
 

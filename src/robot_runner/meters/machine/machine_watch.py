@@ -27,6 +27,8 @@ _USUAL = Thresholds()
 #: The period of reading frequency and temperature of this machine, s: heat takes longer than that to build up, and a
 #: reading of sixteen cores takes about a millisecond, 0.02 % of a core.
 _PERIOD = 5.0
+#: The same of a Raspberry Pi, whose kernel takes the firmware's flags back after two seconds, s.
+_PERIOD_OF_FLAGS = 1.0
 _FIX = "End what else runs there, or keep it off the cores of the experiment (Tune), and repeat the run."
 
 
@@ -35,7 +37,8 @@ class MachineWatch(Profiler):
 
     It is added automatically if a profiler measures a computer (`watch_machines = False` turns it off); list it to
     watch further computers or to set other thresholds. It reads /proc and /sys twice, before all other profilers begin
-    and after they have ended, and every five seconds the frequency and temperature of this machine.
+    and after they have ended, and every five seconds (on a Raspberry Pi each second) the frequency and temperature of
+    this machine.
 
     Args:
         name: distinguishes several instances; None for the class's name.
@@ -177,7 +180,8 @@ class _WatchedComputer:
     def begin(self) -> None:
         self._before, self._after = self._look(), None
         if self.is_here and self._files.tells_of_conditions:
-            self._poller = PeriodicSampler(self._files.conditions, rate=1 / _PERIOD, clock=SystemClock())
+            period = _PERIOD_OF_FLAGS if self._files.has_firmware else _PERIOD
+            self._poller = PeriodicSampler(self._files.conditions, rate=1 / period, clock=SystemClock())
             self._poller.start()
 
     def end(self, started: Collection[int] = ()) -> None:
