@@ -9,6 +9,7 @@ import pytest
 
 from robot_runner.core.errors import LinkError, PluginError
 from robot_runner.core.events.measure import Origin
+from robot_runner.core.links.robot import Encoding
 from robot_runner.plugins import Circumstances
 from robot_runner.plugins.profilers import Battery, Ina219
 from robot_runner.plugins.systems import BasicTurtlebot3
@@ -106,6 +107,19 @@ def test_steps_that_are_fine_for_the_mission_may_be_coarse_for_a_phase(tmp_path)
             ["ChargeUsed.dock"],
         ),
     ]
+
+
+@pytest.mark.parametrize(("encoding", "rate"), [(Encoding.ROS1, 30.0), (Encoding.CDR, 20.0)])
+def test_messages_at_the_rate_of_a_turtlebot3_are_not_doubted(tmp_path, encoding, rate):
+    clock = FakeClock(50.0)
+    robot = FakeRobotLink(clock)
+    robot.encoding = encoding
+    clock.every(1 / rate, lambda: robot.deliver("battery_state", {"voltage": 12.0, "percentage": math.nan}))
+    plugin = Battery()
+    context = make_context(tmp_path, plugin, links=FakeLinks(robot=robot), clock=clock)
+    rehearse(context, plugin, mission=lambda: clock.sleep(10.0))
+    assert context.measures["MeanVoltage"] == pytest.approx(12.0)
+    assert _problems(context) == []
 
 
 def _problems(context):

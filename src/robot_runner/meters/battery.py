@@ -14,7 +14,7 @@ from robot_runner.core.events.context import RobotRunnerContext
 from robot_runner.core.events.measure import Measure, Origin, Over
 from robot_runner.core.events.window import MissionTimes, Window
 from robot_runner.core.links.connect import connect_robot, is_simulation, robot_namespace
-from robot_runner.core.links.robot import Message, Subscription
+from robot_runner.core.links.robot import Encoding, Message, Subscription
 from robot_runner.core.plugin import Circumstances, Profiler
 from robot_runner.measuring.evaluation import publish_measures
 from robot_runner.measuring.quality import Column, quality_of, report_quality, sufficient, write_samples
@@ -33,6 +33,9 @@ _AS_THE_VOLTAGE, _FEWEST = 0.2, 5
 #: MAVROS passes on what MAVLink has for unknown: UINT16_MAX mV, and -1 in steps of 10 mA, with its sign changed, and in
 #: those of 1 % (mavros, sys_status.cpp).
 _UNKNOWN_VOLTS, _UNKNOWN_AMPERES = 65.535, 0.01
+#: How often a TurtleBot3 tells of its battery, Hz: its firmware in ROS 1 (turtlebot3_core), a node in ROS 2
+#: (turtlebot3_node, turtlebot3.cpp).
+_TURTLEBOT3_HZ = {Encoding.ROS1: 30.0, Encoding.CDR: 20.0}
 _FIX = "Look at the topic, with `ros2 topic hz` or `rostopic hz`, before you use this run."
 _FIX_MESSAGES = "Look at its messages, with `ros2 topic echo` or `rostopic echo`, before you use this run."
 
@@ -87,7 +90,7 @@ class Battery(Profiler):
     Args:
         name: distinguishes several instances; None for the class's name.
         topic: the topic, relative to the robot's namespace.
-        rate_hz: the expected rate of the messages, Hz.
+        rate_hz: the expected rate of the messages, Hz; None for that of a TurtleBot3: 30 in ROS 1, 20 in ROS 2.
         namespace: which robot, where there are several.
 
     Raises:
@@ -120,13 +123,20 @@ class Battery(Profiler):
     bytes_per_run: int = 120_000  # 30 messages a second of 40 bytes for a mission of 95 s
 
     def __init__(
-        self, *, name: str | None = None, topic: str = "battery_state", rate_hz: float = 30.0, namespace: str = ""
+        self,
+        *,
+        name: str | None = None,
+        topic: str = "battery_state",
+        rate_hz: float | None = None,
+        namespace: str = "",
     ) -> None:
         super().__init__(name=name)
-        check_positive(self.name, rate_hz=rate_hz)
+        if rate_hz is not None:
+            check_positive(self.name, rate_hz=rate_hz)
         self.topic = topic
         self.rate_hz = rate_hz
         self.namespace = namespace
+        self._expected_hz = rate_hz or _TURTLEBOT3_HZ[Encoding.ROS1]
         self._heard: _Heard | None = None
         self._subscription: Subscription | None = None
         self._begun_at = 0.0
@@ -153,6 +163,7 @@ class Battery(Profiler):
     def start_measurement(self, context: RobotRunnerContext) -> None:
         """Subscribe to the topic."""
         link, clock = connect_robot(context, namespace=self.namespace), context.clock
+        self._expected_hz = self.rate_hz or _TURTLEBOT3_HZ[link.encoding]
         self._heard = heard = _Heard()
         self._subscription = link.subscribe(self.topic, _TYPE, lambda message: heard.take(clock.now(), message))
         self._begun_at = clock.now()
@@ -187,7 +198,7 @@ class Battery(Profiler):
             return
         mission = heard.over(window)
         details = {"is_simulated": heard.is_simulated, "measures_current": mission.measures_current}
-        quality = quality_of(heard.times, window, self.rate_hz)
+        quality = quality_of(heard.times, window, self._expected_hz)
         report_quality(context, quality, window, sampled=self._sampled, fix=_FIX, details=details)
         for problem, names in (*self._doubts(mission, window), *self._charge_doubts(mission, context.times)):
             context.doubt(problem, fix=_FIX_MESSAGES, measures=names)
@@ -206,9 +217,9 @@ class Battery(Profiler):
             ("charge", heard.series(heard.charge), ("ChargeUsed",)),
             ("current", heard.power(), ("Energy",)),
         )
-        is_sufficient = quality_of(heard.times, window, self.rate_hz).is_sufficient
+        is_sufficient = quality_of(heard.times, window, self._expected_hz).is_sufficient
         for quantity, series, names in told:
-            if is_sufficient and len(series) and not len(sufficient(series, window, self.rate_hz)):
+            if is_sufficient and len(series) and not len(sufficient(series, window, self._expected_hz)):
                 missing = len(heard.times) - len(series)
                 what = "not measured (NaN, 0 or 65.535 V)" if quantity == "voltage" else "NaN"
                 some = f"{missing} of {len(heard.times)} messages"
@@ -249,14 +260,14 @@ class Battery(Profiler):
 
     def _values(self, heard: _Heard, window: Window) -> Mapping[str, float | None]:
         """Return the measures over a part of the mission; the nearest messages within it count for its edges."""
-        if not quality_of(heard.times, window, self.rate_hz).is_sufficient:
+        if not quality_of(heard.times, window, self._expected_hz).is_sufficient:
             return {}
         voltage, power = (
-            cut(sufficient(series, window, self.rate_hz), window, reach=window.duration)
+            cut(sufficient(series, window, self._expected_hz), window, reach=window.duration)
             for series in (heard.series(heard.volts), heard.power())
         )
         # Before the first and after the last message the mean rate is assumed, so that the charge used then counts.
-        charged = growth(sufficient(heard.series(heard.charge), window, self.rate_hz), window)
+        charged = growth(sufficient(heard.series(heard.charge), window, self._expected_hz), window)
         return {
             "MeanVoltage": mean(voltage),
             "MinVoltage": min(voltage.values, default=None),
