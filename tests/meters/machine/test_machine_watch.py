@@ -230,7 +230,10 @@ def test_parameters_that_cannot_be_are_refused() -> None:
 
 @pytest.mark.long
 @pytest.mark.parametrize("form", ["python3", "sh"])
-def test_a_computer_over_ssh_is_watched_as_well(tmp_path: Path, server: SshServer, form: str) -> None:
+def test_a_computer_over_ssh_is_watched_as_well(
+    tmp_path: Path, server: SshServer, form: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(others_load, "_LOOKED_AT", 1000)  # as above
     watch = MachineWatch(hosts=())
     watch.attach([PsUtil(name="MachineWatch", host="robot", ssh_config=server.config, form=form)])
     context = make_context(tmp_path, watch, robot=None, clock=SystemClock())
