@@ -70,7 +70,7 @@ class NotingTransport:
         self.note("advertise", topic)
         return Noted(self, topic)
 
-    def subscribe(self, topic, message_type, receive, *, qos, is_raw):
+    def subscribe(self, topic, message_type, receive, *, qos, lane):
         self.receivers[topic] = receive
         return Noted(self, topic)
 

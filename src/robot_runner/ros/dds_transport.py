@@ -69,14 +69,7 @@ class DdsTransport:
         return _Publisher(self._session, topic, message_type, qos)
 
     def subscribe(
-        self,
-        topic: str,
-        message_type: str,
-        receive: Callable[[Reception], None],
-        *,
-        qos: Qos | None,
-        is_raw: bool,
-        is_of_goal: bool = False,
+        self, topic: str, message_type: str, receive: Callable[[Reception], None], *, qos: Qos | None, lane: Lane
     ) -> _Subscription:
         """Have `receive` called with each message, in the session's thread for its lane."""
         decode = partial(self.types.deserialise, message_type, encoding=Encoding.CDR)
@@ -85,7 +78,6 @@ class DdsTransport:
             misfit = subscription.misfit
             receive(_Misread(misfit) if misfit else ReceivedBytes(data, self._now_ns(), decode))
 
-        lane = Lane.of(is_raw=is_raw, is_of_goal=is_of_goal)
         subscription = _Subscription(self._session, topic, message_type, take, qos, lane)
         # Under one lock: a publisher that is discovered meanwhile is adapted to either here or in `_adapt`.
         with self._lock:

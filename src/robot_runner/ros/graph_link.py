@@ -26,6 +26,7 @@ from robot_runner.ros.action_calls import LinkGoals
 from robot_runner.ros.action_server import GoalServer
 from robot_runner.ros.first_message import FirstMessage
 from robot_runner.ros.graph_transport import (
+    Lane,
     Reception,
     TopicSubscription,
     Transport,
@@ -139,13 +140,15 @@ class GraphLink:
         self, topic: str, message_type: str, callback: Callable[[Message], None], *, qos: Qos | None = None
     ) -> Subscription:
         """Call `callback` with each message of the topic."""
-        return self._subscribe(topic, message_type, lambda reception: callback(reception.message()), qos, is_raw=False)
+        return self._subscribe(
+            topic, message_type, lambda reception: callback(reception.message()), qos, Lane.CALLBACKS
+        )
 
     def subscribe_raw(
         self, topic: str, message_type: str, callback: Callable[[RawMessage], None], *, qos: Qos | None = None
     ) -> Subscription:
         """Call `callback` with the bytes of each message of the topic; otherwise as `subscribe`."""
-        return self._subscribe(topic, message_type, lambda reception: callback(reception.raw()), qos, is_raw=True)
+        return self._subscribe(topic, message_type, lambda reception: callback(reception.raw()), qos, Lane.BYTES)
 
     def wait_for(
         self,
@@ -158,7 +161,7 @@ class GraphLink:
         """Return the first message from now on that satisfies the condition; `timeout` is in seconds."""
         first = FirstMessage(condition, timeout)
         take: Callable[[Reception], None] = lambda reception: first.take(reception.message())  # noqa: E731
-        with closing(self._subscribe(topic, message_type, take, None, is_raw=False)) as subscription:
+        with closing(self._subscribe(topic, message_type, take, None, Lane.CALLBACKS)) as subscription:
             self._transport.wait(first.is_over, timeout)
         return first.result(subscription.name, subscription.inner.explain)
 
@@ -338,12 +341,12 @@ class GraphLink:
             return known
 
     def _subscribe(
-        self, topic: str, message_type: str, deliver: Callable[[Reception], None], qos: Qos | None, *, is_raw: bool
+        self, topic: str, message_type: str, deliver: Callable[[Reception], None], qos: Qos | None, lane: Lane
     ) -> Opened:
         name, plain = self._name(topic), plain_type(message_type)
 
         def subscribed(opened: Opened) -> TopicSubscription:
-            return self._transport.subscribe(name, plain, self._receiver(opened, deliver), qos=qos, is_raw=is_raw)
+            return self._transport.subscribe(name, plain, self._receiver(opened, deliver), qos=qos, lane=lane)
 
         return self._open(name, message_type, subscribed)
 

@@ -47,11 +47,6 @@ class Lane(Enum):
     BYTES = "bytes"
     GOALS = "goals"
 
-    @classmethod
-    def of(cls, *, is_raw: bool, is_of_goal: bool) -> Lane:
-        """Return the lane of a subscription."""
-        return cls.GOALS if is_of_goal else cls.BYTES if is_raw else cls.CALLBACKS
-
 
 class Reception(Protocol):
     """A received message; it is decoded or encoded only where a subscriber asks for that form."""
@@ -165,19 +160,9 @@ class Transport(Protocol):
         """Return a publisher, once the existing subscribers are connected."""
 
     def subscribe(
-        self,
-        topic: str,
-        message_type: str,
-        receive: Callable[[Reception], None],
-        *,
-        qos: Qos | None,
-        is_raw: bool,
-        is_of_goal: bool = False,
+        self, topic: str, message_type: str, receive: Callable[[Reception], None], *, qos: Qos | None, lane: Lane
     ) -> TopicSubscription:
-        """Call `receive` with each message; `is_raw` says which form will be asked for.
-
-        What is measured or recorded as bytes, and what is told of a goal (`is_of_goal`), does not wait for callbacks.
-        """
+        """Call `receive` with each message, which is asked for its bytes in the lane for these, and else decoded."""
 
     def call(self, service: str, service_type: str, request: Message, timeout: float) -> Message:
         """Call a service and return its response; `timeout` is in seconds."""

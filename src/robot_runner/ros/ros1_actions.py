@@ -20,7 +20,7 @@ from robot_runner.core.links.goals import ActionResult, GoalStatus
 from robot_runner.core.links.robot import Message, Qos, Subscription
 from robot_runner.ros.action_calls import await_action, check_one_server
 from robot_runner.ros.action_server import ActionTypes, Execution, GoalServer, part_of
-from robot_runner.ros.graph_transport import GraphTypes, Reception, TopicPublisher, Transport, already_offered
+from robot_runner.ros.graph_transport import GraphTypes, Lane, Reception, TopicPublisher, Transport, already_offered
 from robot_runner.ros.shapes import completed, nanoseconds_of, stamp_of
 
 if TYPE_CHECKING:
@@ -138,9 +138,7 @@ class _Client:
                 (_FEEDBACK, f"{action_type}ActionFeedback", self._take_feedback),
                 (_STATUS, _STATUS_TYPE, self._take_status),
             ):
-                self._open.callback(
-                    transport.subscribe(action + name, kind, take, qos=None, is_raw=False, is_of_goal=True).close
-                )
+                self._open.callback(transport.subscribe(action + name, kind, take, qos=None, lane=Lane.GOALS).close)
             self._send = _advertised(self._open, transport, action + _GOAL, f"{action_type}{_GOAL_ENDING}")
             self._cancel = _advertised(self._open, transport, action + _CANCEL, GOAL_ID_TYPE)
         except Exception:
@@ -288,9 +286,7 @@ class _Served:
             (_GOAL, f"{action_type}{_GOAL_ENDING}", self._take_goal),
             (_CANCEL, GOAL_ID_TYPE, self._take_cancel),
         ):
-            self._open.callback(
-                transport.subscribe(action + name, kind, take, qos=None, is_raw=False, is_of_goal=True).close
-            )
+            self._open.callback(transport.subscribe(action + name, kind, take, qos=None, lane=Lane.GOALS).close)
         self._status = _advertised(self._open, transport, action + _STATUS, _STATUS_TYPE)
 
     def close(self) -> None:

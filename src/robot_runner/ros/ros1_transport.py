@@ -16,6 +16,7 @@ from robot_runner.core.errors import LinkError
 from robot_runner.core.links.graph_names import missing
 from robot_runner.core.links.robot import Encoding, GraphEndpoint, Message, Qos
 from robot_runner.ros.graph_transport import (
+    Lane,
     ReceivedBytes,
     Reception,
     already_offered,
@@ -67,25 +68,18 @@ class Ros1Transport:
         return Publisher(self._rospy, topic, message_class(message_type), qos, partial(self.subscribers, topic))
 
     def subscribe(
-        self,
-        topic: str,
-        message_type: str,
-        receive: Callable[[Reception], None],
-        *,
-        qos: Qos | None,
-        is_raw: bool,
-        is_of_goal: bool = False,
+        self, topic: str, message_type: str, receive: Callable[[Reception], None], *, qos: Qos | None, lane: Lane
     ) -> _Subscription:
         """Call `receive` with each message, in a thread of rospy; in ROS 1 only publishers choose a QoS.
 
         It returns once the publishers that are there already are connected: what they publish next is received. Who
         takes bytes, to measure or record them, gets each message before the other callbacks, which may take long.
         """
-        del qos, is_of_goal  # each topic has a thread for each of its publishers
+        del qos  # each topic has a thread for each of its publishers
         self._check_type(topic, message_type, publishers_only=True)
         publishers = [each.node for each in self.publishers(topic)]
         subscription = _Subscription(self, topic, message_class(message_type), receive)
-        if is_raw:
+        if lane is Lane.BYTES:
             subscription.come_first()
         try:
             subscription.connect(publishers)

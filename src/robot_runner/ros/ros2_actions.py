@@ -20,7 +20,7 @@ from robot_runner.core.links.robot import Message, Qos, Subscription
 from robot_runner.ros.action_calls import await_action, check_one_server
 from robot_runner.ros.action_server import ActionTypes, Execution, GoalServer, part_of
 from robot_runner.ros.action_types import whole_action
-from robot_runner.ros.graph_transport import LONGEST_DISCOVERY, GraphTypes, Reception, Transport, already_offered
+from robot_runner.ros.graph_transport import LONGEST_DISCOVERY, GraphTypes, Lane, Reception, Transport, already_offered
 from robot_runner.ros.shapes import completed, nanoseconds_of, stamp_of
 
 if TYPE_CHECKING:
@@ -106,15 +106,10 @@ class _Client:
         self._fetched: set[str] = set()
         self._lock = threading.Lock()
         self._status = transport.subscribe(
-            action + STATUS_TOPIC, STATUS_TYPE, self._take_status, qos=None, is_raw=False, is_of_goal=True
+            action + STATUS_TOPIC, STATUS_TYPE, self._take_status, qos=None, lane=Lane.GOALS
         )
         self._feedback = transport.subscribe(
-            action + _FEEDBACK,
-            f"{action_type}_FeedbackMessage",
-            self._take_feedback,
-            qos=None,
-            is_raw=False,
-            is_of_goal=True,
+            action + _FEEDBACK, f"{action_type}_FeedbackMessage", self._take_feedback, qos=None, lane=Lane.GOALS
         )
 
     def send(self, goal: Message, sent: SentGoal, timeout: float) -> None:

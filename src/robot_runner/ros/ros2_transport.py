@@ -87,17 +87,10 @@ class Ros2Transport:
         return _Publisher(self._node, self._graph, topic, message_type, qos)
 
     def subscribe(
-        self,
-        topic: str,
-        message_type: str,
-        receive: Callable[[Reception], None],
-        *,
-        qos: Qos | None,
-        is_raw: bool,
-        is_of_goal: bool = False,
+        self, topic: str, message_type: str, receive: Callable[[Reception], None], *, qos: Qos | None, lane: Lane
     ) -> _Subscription:
         """Call `receive` with each message, in the node's thread for its lane."""
-        cls, lane = message_class(message_type), Lane.of(is_raw=is_raw, is_of_goal=is_of_goal)
+        cls = message_class(message_type)
 
         def decode(data: bytes) -> Message:
             return as_mapping(deserialize_message(data, cls))

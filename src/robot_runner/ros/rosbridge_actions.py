@@ -21,7 +21,7 @@ from robot_runner.core.errors import GoalRejectedError, LinkError
 from robot_runner.core.links.goals import ActionResult, GoalStatus
 from robot_runner.core.links.robot import Message, Qos, Subscription
 from robot_runner.ros.action_calls import await_action
-from robot_runner.ros.graph_transport import Reception, Transport, already_offered
+from robot_runner.ros.graph_transport import Lane, Reception, Transport, already_offered
 from robot_runner.ros.ros2_actions import GOAL_NUMBERS, GOAL_STATES, STATUS_TOPIC, STATUS_TYPE, ros2_action_types
 from robot_runner.ros.rosbridge_frames import from_protocol, to_protocol
 from robot_runner.ros.rosbridge_session import Session
@@ -133,12 +133,7 @@ class _Client:
         self._expected: set[str] = set()
         self._heard = threading.Event()
         self._status = graph.transport.subscribe(
-            action + STATUS_TOPIC,
-            STATUS_TYPE,
-            self._take_status,
-            qos=Qos.TRANSIENT_LOCAL,
-            is_raw=False,
-            is_of_goal=True,
+            action + STATUS_TOPIC, STATUS_TYPE, self._take_status, qos=Qos.TRANSIENT_LOCAL, lane=Lane.GOALS
         )
         self._heard.wait(_EARLIER)
 

@@ -17,6 +17,7 @@ from robot_runner.core.links.graph_names import missing
 from robot_runner.core.links.robot import Encoding, GraphEndpoint, Message, Qos
 from robot_runner.ros.graph_transport import (
     ClosedBy,
+    Lane,
     Reception,
     already_offered,
     check_type,
@@ -112,18 +113,11 @@ class RosbridgeTransport:
             return fresh
 
     def subscribe(
-        self,
-        topic: str,
-        message_type: str,
-        receive: Callable[[Reception], None],
-        *,
-        qos: Qos | None,
-        is_raw: bool,
-        is_of_goal: bool = False,
+        self, topic: str, message_type: str, receive: Callable[[Reception], None], *, qos: Qos | None, lane: Lane
     ) -> ClosedBy:
         """Call `receive` with each message, in the session's thread for callbacks, or in the one that is prompt."""
         self._session.check_open(topic)
-        is_prompt = is_raw or is_of_goal
+        is_raw, is_prompt = lane is Lane.BYTES, lane is not Lane.CALLBACKS
         with self._lock:
             known = self._topics.get(topic)
             if known is None:

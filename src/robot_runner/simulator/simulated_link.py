@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from robot_runner.core.errors import LinkError, did_you_mean
 from robot_runner.core.links.robot import Encoding, GraphEndpoint, Message, Qos, RawMessage
 from robot_runner.ros.graph_link import GraphLink
-from robot_runner.ros.graph_transport import ClosedBy, Reception, already_offered, check_type, wrong_service_type
+from robot_runner.ros.graph_transport import ClosedBy, Lane, Reception, already_offered, check_type, wrong_service_type
 from robot_runner.ros.shapes import Field, Shape, plain_type
 from robot_runner.simulator.simulated_actions import SimulatedActions
 from robot_runner.simulator.simulated_clock import STEP_NS
@@ -118,20 +118,13 @@ class SimulatedTransport:
         return self._commands.setdefault(name, _CommandPublisher(self._robot, name, self._simulation))
 
     def subscribe(
-        self,
-        topic: str,
-        message_type: str,
-        receive: Callable[[Reception], None],
-        *,
-        qos: Qos | None,
-        is_raw: bool,
-        is_of_goal: bool = False,
+        self, topic: str, message_type: str, receive: Callable[[Reception], None], *, qos: Qos | None, lane: Lane
     ) -> ClosedBy:
         """Call `receive` with each message, at the rate of the real robot, during sleeps on the clock.
 
         Commands can be subscribed to, too, as on a graph, so that they can be recorded.
         """
-        del qos, is_raw, is_of_goal
+        del qos, lane
         published, clock, types = self._published().get(topic), self._simulation.clock, self.topics()
         if topic not in types:
             raise self._unknown(topic, self._robot.topics, kind="topic that the robot publishes")
