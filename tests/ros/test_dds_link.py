@@ -272,6 +272,15 @@ def test_a_subscriber_that_asks_for_more_than_is_published_is_an_error_that_name
     assert node.until(lambda fact: "velocity" in fact) == {"velocity": 0.5}
 
 
+def test_a_robot_is_stopped_that_is_discovered_later_than_a_subscriber_that_asks_for_more(link):
+    base, mine, heard = link(distro="jazzy"), link(distro="jazzy"), []
+    base.subscribe("cmd_vel", "geometry_msgs/Twist", print, qos=Qos.TRANSIENT_LOCAL)
+    _await(lambda: mine.subscribers("cmd_vel"))
+    mine.publish("cmd_vel", "geometry_msgs/Twist", {})  # which nobody can receive yet
+    base.subscribe("cmd_vel", "geometry_msgs/Twist", heard.append)
+    _await(lambda: heard or mine.publish("cmd_vel", "geometry_msgs/Twist", {}))
+
+
 @pytest.mark.parametrize(
     ("asked", "problem"),
     [

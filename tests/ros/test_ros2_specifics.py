@@ -167,6 +167,27 @@ def test_callbacks_that_take_less_than_comes_fail_the_run_once_and_do_not_fill_t
     assert f"callbacks are too slow: {told_of}" in told[0]
 
 
+def test_a_robot_is_stopped_that_is_discovered_later_than_a_subscriber_that_asks_for_more(link):
+    from geometry_msgs.msg import Twist
+    from rclpy import Context, create_node
+    from rclpy.executors import SingleThreadedExecutor
+    from rclpy.qos import DurabilityPolicy, QoSProfile
+
+    context = Context()
+    context.init(domain_id=int(DOMAIN))
+    base, heard = create_node("base", context=context), []
+    base.create_subscription(Twist, "cmd_vel", print, QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL))
+    until(lambda: link.subscribers("cmd_vel"))
+    link.publish("cmd_vel", "geometry_msgs/Twist", {})  # which nobody can receive yet
+    base.create_subscription(Twist, "cmd_vel", heard.append, 1)
+    executor = SingleThreadedExecutor(context=context)
+    executor.add_node(base)
+    until(lambda: heard, lambda: (link.publish("cmd_vel", "geometry_msgs/Twist", {}), executor.spin_once(0.05)))
+    executor.shutdown()
+    base.destroy_node()
+    context.shutdown()
+
+
 @pytest.mark.parametrize(
     ("asked", "problem"),
     [

@@ -172,7 +172,8 @@ class _Publisher:
         session.settle(lambda: bool(matched_subscriptions(self._writer)))
         try:
             _check_types(session, topic, self._wire_type, self._user_data)
-            self._check_demands()
+            if qos is not Qos.DEFAULT:  # with that, this may have to stop a robot that is discovered later
+                self._check_demands()
         except LinkError:
             self.close()
             raise

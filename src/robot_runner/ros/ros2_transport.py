@@ -156,7 +156,8 @@ class _Publisher:
         self._publisher = node.node.create_publisher(self._cls, topic, _as_profile(self._offered))
         try:
             _check_version(node, graph, topic, message_type)
-            self.reach()
+            # Subscribers that ask for more are no error yet: this may have to stop a robot that is discovered later.
+            self._is_matched()
         except LinkError:
             self.close()
             raise
@@ -165,8 +166,7 @@ class _Publisher:
         self._publisher.publish(as_message(self._cls, message))
 
     def reach(self) -> bool:
-        wanted = reachable(self._demands(), self._offered)
-        is_matched = self._node.until(lambda: self._publisher.get_subscription_count() >= wanted, _MATCHING)
+        is_matched = self._is_matched()
         unmet = self._unmet()
         if unmet is not None and not self._node.until(lambda: self._unmet() is None, _MATCHING):  # some adapt
             raise unmet
@@ -175,6 +175,10 @@ class _Publisher:
         matched = self._publisher.get_subscription_count()
         is_taken = is_matched and self._is_taken(_ACKNOWLEDGING) is not False
         return is_taken and self._publisher.get_subscription_count() >= matched
+
+    def _is_matched(self) -> bool:
+        wanted = reachable(self._demands(), self._offered)
+        return self._node.until(lambda: self._publisher.get_subscription_count() >= wanted, _MATCHING)
 
     def _demands(self, *, but_of: str | None = None) -> list[Policies]:
         there = self._graph.subscriptions(self._topic)

@@ -213,7 +213,7 @@ def test_what_is_returned_without_a_column_is_named_with_its_line(config: Callab
     found = 'found = {"seconds": 1.0}\n    found["rounds"] = 3'
     path = config(f"{methods}    {found}\n    return {returned}\n")
     (told,) = convert(path).findings
-    assert told.problem == "'rounds' is none of data_columns: each run of the new file that returns it fails"
+    assert told.problem == "'rounds' is not in data_columns: each run of the new file that returns it fails"
     assert '"rounds"' in path.read_text().splitlines()[int(told.where.rpartition(":")[2]) - 1]
 
 

@@ -324,7 +324,7 @@ def leave_out_treatments(session: Session, converted: ConvertedFile, config: ast
     for name in sorted(session.callbacks_of(RobotRunnerEvents.POPULATE_RUN_DATA) & methods.keys()):
         for key in _returned_keys(methods[name], config, converted.edits, treatments - columns):
             if key.value not in columns:
-                problem = f"{key.value!r} is none of data_columns: each run of the new file that returns it fails"
+                problem = f"{key.value!r} is not in data_columns: each run of the new file that returns it fails"
                 fix = "Take it out, or add it to data_columns."
                 yield Finding.warning(f"{converted.path}:{key.lineno}", problem, fix)
 
