@@ -40,6 +40,15 @@ CONFIG = f"""
     def create_run_table(self):
         return RunTableModel([Factor("Task", ["Video"])])
 """
+OF_CALLBACK = f"""
+    robot = {{robot!r}}
+    def create_run_table(self):
+        return RunTableModel([Factor("Task", ["Video"])])
+    def launch_mission(self, context):
+        robot = connect_robot(context, namespace="/alice")
+        goal = {{{{"pose": {{{{"pose": {{{{"position": {{{{"x": 3.0}}}}}}}}}}}}}}}}
+        robot.send_goal({ACTION!r}, {ACTION_TYPE!r}, goal).result(timeout=60.0)
+"""
 #: The standby finds the graph, the server takes the cancel request at its next step, and the wheels roll out.
 STOPPED_WITHIN = 3.0
 
@@ -72,5 +81,32 @@ def test_when_the_run_is_killed_its_goal_is_cancelled_and_the_safe_message_is_pu
         wait_until(lambda: lamp[-1] == "off", "the lamp is off")
         experiment.end()
         assert "had made Together safe; the process that stood by for this did it" in " ".join(
+            experiment.output.split()
+        )
+
+
+@pytest.mark.long
+@over("ros1", "dds")
+def test_when_the_run_is_killed_the_goal_of_its_callback_is_cancelled_too(
+    graph: str, start: Start, write_config: Callable[..., Path]
+) -> None:
+    head = HEAD.replace("import *\n", "import *\nfrom robot_runner.plugins import connect_robot\n", 1)
+    name = RobotName.parse(graph)
+    with (
+        simulated_robot(graph, "--namespace", "/alice", "--no-watchdog"),
+        witness(graph, "/alice") as seen,
+        closing(GRAPH_LINKS[name.link].open(name, SystemClock(), "/alice")) as link,
+    ):
+        server = DriveServer(link, SystemClock())
+        link.offer_action(ACTION, ACTION_TYPE, server.execute)
+        experiment = start(config=write_config(OF_CALLBACK.format(robot=graph), head=head, table=""))
+        seen.sees(0.15)
+        wait, killed = ProcessorWait(family()), time.time()
+        os.kill(experiment.run_process(), signal.SIGKILL)
+        stood = seen.sees_standstill(killed, meanwhile=wait.look)
+        assert stood - killed - wait.seconds < STOPPED_WITHIN
+        assert server.cancelled == 1
+        experiment.end()
+        assert "had made the robot safe; the process that stood by for this did it" in " ".join(
             experiment.output.split()
         )

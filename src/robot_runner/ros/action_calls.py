@@ -11,6 +11,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Protocol
 
 from robot_runner.core.errors import LinkError, did_you_mean
+from robot_runner.core.links.commanded_topics import CANCELLING, tell_commanded
 from robot_runner.core.links.goals import GoalStatus
 from robot_runner.core.links.robot import GraphEndpoint, Message, Subscription
 from robot_runner.core.words import enumerated
@@ -111,16 +112,35 @@ class LinkGoals:
         self._clients: dict[tuple[str, str], ActionClient] = {}
         self._goals: list[SentGoal] = []
         self._asked: dict[SentGoal, threading.Event] = {}
+        self._told: set[str] = set()
         self._is_closed = False
 
     def send(
-        self, action: str, action_type: str, goal: Message, take_feedback: Callable[[Message], None], timeout: float
+        self,
+        action: str,
+        action_type: str,
+        goal: Message,
+        take_feedback: Callable[[Message], None],
+        timeout: float,
+        graph: str | None = None,
     ) -> SentGoal:
-        """Send a goal, and return it once it is accepted; names are full, `timeout` is in seconds."""
+        """Send a goal, and return it once it is accepted; before the first, a standby is told of the action.
+
+        Args:
+            action: its full name.
+            action_type: of the action.
+            goal: its fields.
+            take_feedback: called with the feedback.
+            timeout: until it is accepted, s.
+            graph: that of the link; None for a robot in this process.
+        """
         complete = completed(self._dialect.types(action_type).goal, goal, where=action)
         client = self._client(action, action_type, timeout)
         sent = SentGoal(action, self._wait, take_feedback)
         sent.client = client
+        if action not in self._told:
+            tell_commanded(action, CANCELLING, graph)
+            self._told.add(action)
         with self._lock:
             self._check_open(action)  # again, as finding the server may have taken seconds
             self._goals = [each for each in self._goals if not each.is_over]

@@ -202,7 +202,7 @@ class GraphLink:
         """Send a goal to an action, and return it once it is accepted; `timeout` is in seconds."""
         name = self._name(action)
         take = self._receiver(Opened(name, action_type, lambda _: None), on_feedback or (lambda _: None))
-        return self._goals.send(name, plain_type(action_type), goal or {}, take, timeout)
+        return self._goals.send(name, plain_type(action_type), goal or {}, take, timeout, self.graph)
 
     def offer_action(
         self,

@@ -292,7 +292,14 @@ DRIVE = "connect_robot(context).publish('cmd_vel', 'geometry_msgs/TwistStamped',
 
 
 @pytest.mark.parametrize("event", ["before_run", "continue_experiment"])
-@pytest.mark.parametrize("call", [DRIVE, "link = connect_robot(context); link.publish('cmd_vel', TWIST, self.ahead)"])
+@pytest.mark.parametrize(
+    "call",
+    [
+        DRIVE,
+        "link = connect_robot(context); link.publish('cmd_vel', TWIST, self.ahead)",
+        "connect_robot(context).send_goal('dock', 'nav2_msgs/DockRobot', self.dock)",
+    ],
+)
 def test_a_robot_that_is_driven_in_the_orchestrator_s_process_is_told(tmp_path: Path, event: str, call: str) -> None:
     told = f"{event} drives the robot in the orchestrator's process: where that is killed meanwhile, "
     assert driven_told(tmp_path, event, call) == [f"{told}nobody stops the robot"]

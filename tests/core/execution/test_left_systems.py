@@ -34,7 +34,7 @@ from robot_runner.core.execution.systems_state import SystemsFile, left_copies
 from robot_runner.core.execution.task import RunTask
 from robot_runner.core.execution.worker import described_task
 from robot_runner.core.links import commanded_topics
-from robot_runner.core.links.commanded_topics import Commanded
+from robot_runner.core.links.commanded_topics import CANCELLING, Commanded
 from robot_runner.core.storage.claim_locks import HeldClaims
 from robot_runner.core.storage.guarded_files import make_experiment_folder
 from robot_runner.core.storage.journal import Journal
@@ -189,6 +189,23 @@ def test_of_a_robot_that_is_not_there_any_more_it_is_told_that_nobody_took_the_c
     of_velocities(experiment, Deserted(), monkeypatch)
     (found,) = see_to_what_is_left(experiment)
     assert found.problem.endswith("was done now, as far as it could be: nobody subscribes to /cmd_vel any more")
+
+
+def test_goals_that_a_killed_run_has_sent_are_cancelled(
+    experiment: Experiment, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    cancelled = experiment.config_path.with_name("cancelled")
+
+    def cancel(link: object, action: str) -> None:
+        with cancelled.open("a") as file:
+            file.write(f"{action}\n")
+
+    for each in ("cancel_all_goals", "keep_cancelling_goals"):
+        monkeypatch.setattr(standby, each, cancel)
+    file = of_velocities(experiment, Deserted(), monkeypatch)
+    file.add_commanded(Commanded("/navigate_to_pose", CANCELLING))
+    see_to_what_is_left(experiment)
+    assert cancelled.read_text().splitlines() == ["/navigate_to_pose"] * 2
 
 
 def test_nothing_but_a_velocity_is_commanded_whatever_somebody_has_written_into_that_file(

@@ -18,11 +18,9 @@ from robot_runner.core.links.connect import connect_robot
 from robot_runner.core.links.goals import ActionAborted, ActionCanceled, GoalStatus
 from robot_runner.plugins import Circumstances, Measure, treatment
 from robot_runner.plugins.systems import ActionMission, Together
-from robot_runner.ros.missions import action_mission
+from robot_runner.ros.link_opening import open_rosbridge_link
 from robot_runner.ros.missions.goal_measures import FeedbackMeasures
-from robot_runner.ros.rosbridge_link import open_rosbridge_link
 from robot_runner.testing import (
-    FakeAction,
     FakeClock,
     FakeLinks,
     FakeRobotLink,
@@ -232,51 +230,9 @@ def test_make_safe_cancels_goals_also_where_the_wheels_cannot_be_stopped(context
         raise LinkError("somebody subscribes it as another type", where=topic)
 
     monkeypatch.setattr(link, "publish", publish)
-    monkeypatch.setattr(action_mission, "_LATE_SECONDS", 0.0)
     with pytest.raises(LinkError, match="as another type"):
         mission.make_safe(contexts(mission, robot="dds", links=FakeLinks(robot=link)))
-    assert [each.service for each in link.calls] == [f"{ACTION}/_action/cancel_goal"]
-
-
-@pytest.mark.parametrize(
-    ("has_sent", "is_there", "waits"),
-    [(True, False, [1.0]), (True, True, [1.0, 5.0]), (False, False, [5.0])],
-    ids=["its server has ended", "its server is slow", "a standby, whose graph may not be known yet"],
-)
-def test_make_safe_waits_long_only_for_a_server_that_may_be_there(
-    has_sent: bool, is_there: bool, waits: list[float], contexts: Any, monkeypatch: Any
-) -> None:
-    link = FakeRobotLink(FakeClock(), actions={f"/{ACTION}": FakeAction()} if is_there else {})
-    waited: list[float] = []
-
-    def call(service: str, *_: Any, timeout: float) -> dict[str, Any]:
-        waited.append(timeout)
-        if is_there and len(waited) > 1:
-            return {"return_code": 0}
-        raise LinkError("no answer", where=service)
-
-    monkeypatch.setattr(link, "call", call)
-    mission = ActionMission(ACTION, ACTION_TYPE)
-    context = contexts(mission, robot="dds", links=FakeLinks(robot=link))
-    if has_sent:
-        mission.start_run(context)
-    mission.make_safe(context)
-    assert waited == waits
-
-
-def test_a_goal_that_arrives_after_the_request_to_cancel_it_is_cancelled_too(contexts: Any, monkeypatch: Any) -> None:
-    executed, on_the_way = ["early"], ["late"]
-
-    def cancel(_: Any) -> dict[str, Any]:
-        executed[:] = [on_the_way.pop()] if on_the_way else []
-        return {"return_code": 0}
-
-    monkeypatch.setattr(action_mission, "_LATE_SECONDS", 0.1)
-    link = FakeRobotLink(FakeClock())
-    link.offer(f"{ACTION}/_action/cancel_goal", "action_msgs/CancelGoal", cancel)
-    mission = ActionMission(ACTION, ACTION_TYPE)
-    mission.make_safe(contexts(mission, robot="dds", links=FakeLinks(robot=link)))
-    assert (executed, on_the_way) == ([], [])
+    assert [each.service for each in link.calls] == [f"/{ACTION}/_action/cancel_goal"]
 
 
 @pytest.mark.long

@@ -271,19 +271,21 @@ _FIX_OF_DRIVE = "Drive in start_run or launch_mission: whatever is killed there,
 def _drives_without_standby(code: _LocalCode, events: EventManager) -> Iterator[tuple[str, str, str]]:
     for event in (RobotRunnerEvents.BEFORE_RUN, RobotRunnerEvents.CONTINUE):
         for each in events.subscribers(event):
-            if any(_commands_velocity(node, called) for called in code.called_by(each) for node in called.nodes):
+            if any(_commands_robot(node, called) for called in code.called_by(each) for node in called.nodes):
                 problem = f"{event.callback_name} drives the robot in the orchestrator's process: "
                 problem += "where that is killed meanwhile, nobody stops the robot"
                 yield each.owner, problem, _FIX_OF_DRIVE
 
 
-def _commands_velocity(node: ast.AST, called: _CalledCode) -> bool:
+def _commands_robot(node: ast.AST, called: _CalledCode) -> bool:
     match node:
         case ast.Call(func=ast.Attribute(attr="publish"), args=[_, _, ast.Dict() as message]) if _is_zero(message):
             return False  # to stand still
         case ast.Call(func=ast.Attribute(attr="publish"), args=[_, message_type, *_]):
             name = message_type.value if isinstance(message_type, ast.Constant) else called.named(message_type)
             return isinstance(name, str) and name.replace("/msg/", "/") in VELOCITIES
+        case ast.Call(func=ast.Attribute(attr="send_goal")):
+            return True
         case _:
             return False
 

@@ -35,7 +35,13 @@ from robot_runner.core.execution.run_records import failure_fields
 from robot_runner.core.execution.standby_lock import LONGEST, LOOK, hold_standby_lock, is_at_work, kill_if_stopped
 from robot_runner.core.execution.systems_state import Care, SystemsFile, SystemsState
 from robot_runner.core.execution.task import RunTask
-from robot_runner.core.links.commanded_topics import MAY_BE_MOVING, STOP_BY_HAND, Commanded, keep_commanding_zero
+from robot_runner.core.links.commanded_topics import (
+    CANCELLING,
+    MAY_BE_MOVING,
+    STOP_BY_HAND,
+    Commanded,
+    keep_commanding_zero,
+)
 from robot_runner.core.links.connect import (
     RobotTriedOnce,
     connect_robot,
@@ -43,6 +49,7 @@ from robot_runner.core.links.connect import (
     preload_robot,
     resolved_robot,
 )
+from robot_runner.core.links.goal_cancelling import cancel_all_goals, keep_cancelling_goals
 from robot_runner.core.links.kinds import link_key
 from robot_runner.core.links.robot import RobotLink
 from robot_runner.core.plugin import System
@@ -244,6 +251,7 @@ class Standby:
             what remains doubtful: topics without a subscriber, and what systems warn of.
         """
         commanded, unheard = self.state.commanded, list[str]()
+        commanded.sort(key=lambda each: each.message_type != CANCELLING)  # a server that hangs delays no zero
         with ExitStack() as each_of_them:  # the last one first, as the run does it
             each_of_them.callback(lambda: unheard.extend(connection.stop_again(commanded)))
             for system in self.systems:
@@ -285,23 +293,32 @@ class _Connection:
         return self._resources.open(link_key("graph", graph), opener)
 
     def stop(self, commanded: Commanded) -> None:
-        """Publish a zero velocity."""
-        self._link(commanded.graph).publish(commanded.topic, commanded.message_type, {})
+        """Publish a zero velocity, or cancel the goals of an action."""
+        link = self._link(commanded.graph)
+        if commanded.message_type == CANCELLING:
+            cancel_all_goals(link, commanded.topic)
+        else:
+            link.publish(commanded.topic, commanded.message_type, {})
 
     def stop_again(self, commanded: Sequence[Commanded]) -> list[str]:
-        """Repeat the zero velocity for some seconds, on all graphs at once, and until every subscriber is reached.
+        """Repeat that for some seconds, on all graphs at once, and until every subscriber of a topic is reached.
 
         Returns:
             the topics without any subscriber.
 
         Raises:
-            LinkError: a subscriber of a topic is not reached.
+            LinkError: a subscriber of a topic is not reached, or goals cannot be cancelled.
         """
         by_graph: dict[str, list[tuple[str, str]]] = {}
+        goals = [each for each in commanded if each.message_type == CANCELLING]
         for topic, message_type, graph in commanded:
-            by_graph.setdefault(graph, []).append((topic, message_type))
-        with ThreadPoolExecutor(max(1, len(by_graph))) as threads:
+            if message_type != CANCELLING:
+                by_graph.setdefault(graph, []).append((topic, message_type))
+        with ThreadPoolExecutor(max(1, len(commanded))) as threads:
             told = [threads.submit(keep_commanding_zero, self._link(graph), at) for graph, at in by_graph.items()]
+            cancelled = [threads.submit(keep_cancelling_goals, self._link(each.graph), each.topic) for each in goals]
+        for each in cancelled:
+            each.result()
         return [topic for each in told for topic in each.result()]
 
     def close(self) -> None:

@@ -19,14 +19,14 @@ from pathlib import Path
 from typing import Any, TypeGuard
 
 from robot_runner.core.errors import StorageError
-from robot_runner.core.links.commanded_topics import VELOCITIES, Commanded
+from robot_runner.core.links.commanded_topics import STOPPED_BY_EMPTY, Commanded
 from robot_runner.core.storage.claim_locks import state_folder
 from robot_runner.core.storage.guarded_files import open_to_append, open_to_fill, read_text, remove, replace
 from robot_runner.core.storage.journal import journal_lines
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.system_refusals import fsync_file
 
-# Layout of the shared file: one byte for `Care`, the reason, and a line for each commanded topic.
+# Layout of the shared file: one byte for `Care`, the reason, and a line for each commanded topic or action.
 #: The size of the reason, bytes; a longer one is cut.
 _REASON = 2000
 #: Where the topics begin.
@@ -36,7 +36,7 @@ _LONGEST_LIST = 100_000
 #: The folder of the copies, beside that of the claims.
 _COPIES = "left"
 #: The types by which a robot is stopped. A list, as what was read from a file need not be hashable.
-_STOPPED = sorted(VELOCITIES)
+_STOPPED = sorted(STOPPED_BY_EMPTY)
 
 
 class Care(IntEnum):
@@ -76,13 +76,13 @@ class SystemsState:
 
     @property
     def commanded(self) -> list[Commanded]:
-        """The topics on which the run commands a velocity."""
+        """The topics and actions by which the run commands a robot."""
         lines = os.pread(self.descriptor, _LONGEST_LIST, _TOPICS).decode().splitlines()
         fields = (line.split(" ", len(Commanded._fields) - 1) for line in lines)
         return [Commanded(*each) for each in fields if len(each) == len(Commanded._fields)]  # the last may be cut
 
     def add_commanded(self, commanded: Commanded) -> None:
-        """Add a topic on which the run is about to command velocities; from then on, it has systems to care for."""
+        """Add a topic or action by which the run is about to command a robot; its systems are cared for from then on."""
         with self._lock:
             end = max(_TOPICS, os.fstat(self.descriptor).st_size)
             os.pwrite(self.descriptor, f"{' '.join(commanded)}\n".encode(), end)
@@ -107,7 +107,7 @@ class LeftSystems:
         run_id: of the run.
         robot: how its robot is reached; None where it has none.
         task: the run, as plain data (`worker.described_task`).
-        commanded: the topics on which it has commanded a velocity.
+        commanded: the topics and actions by which it has commanded a robot.
         systems: the names of those that have a `make_safe` of their own.
         is_told: whether its robot was commanded to stand still since, or a person was asked to stop it.
     """
@@ -196,7 +196,7 @@ class SystemsFile:
         return f"{json.dumps(told, default=str)}\n"
 
     def add_commanded(self, commanded: Commanded) -> None:
-        """Add, in the run, a topic on which velocities will be commanded; flushed to the disk."""
+        """Add, in the run, a topic or action by which a robot will be commanded; flushed to the disk."""
         told = {"topic": commanded.topic, "type": commanded.message_type, "graph": commanded.graph}
         line = f"{json.dumps(told)}\n".encode()
         for path, root in ((self._copy, self._copy and self._copy.parent), (self._path, self._root)):
@@ -259,7 +259,7 @@ def _left_of(lines: Sequence[Mapping[str, Any]]) -> LeftSystems | None:
     match lines[0] if lines else None:
         case {"robot": str() | None as robot, "task": {"run_id": str(run_id)} as task}:
             topics = ((line.get("topic"), line.get("type"), line.get("graph", "")) for line in lines)
-            # Velocities only: an empty message of another type may be a command to do something.
+            # No others: an empty message of another type may be a command to do something.
             commanded = (
                 Commanded(topic, kind, graph)
                 for topic, kind, graph in topics

@@ -1,4 +1,4 @@
-"""Topics on which this process commands velocities, so that a standby can stop the robot there, and stopping it."""
+"""What this process commands a robot by, so that a standby can stop it there: topics of velocities, and actions."""
 
 from __future__ import annotations
 
@@ -15,6 +15,10 @@ from robot_runner.core.words import enumerated
 TWISTS = frozenset({"geometry_msgs/Twist", "geometry_msgs/TwistStamped"})
 #: A robot carries out a command of these types until the next one; an empty message, all zero, stops it.
 VELOCITIES = TWISTS | {"ackermann_msgs/AckermannDrive", "ackermann_msgs/AckermannDriveStamped"}
+#: The type of the request that cancels the goals of an action; an empty one cancels all (`goal_cancelling`).
+CANCELLING = "action_msgs/CancelGoal"
+#: What an empty message or request stops.
+STOPPED_BY_EMPTY = VELOCITIES | {CANCELLING}
 #: In the problem of a finding or a failure: the robot could not be stopped, so that no further run begins.
 MAY_BE_MOVING = "THE ROBOT MAY BE MOVING"
 #: The reason why an experiment was stopped then (`stopped_by`).
@@ -32,11 +36,11 @@ _REACHING = 10.0
 
 
 class Commanded(NamedTuple):
-    """A topic on which velocities are commanded.
+    """A topic on which velocities are commanded, or an action to which goals are sent.
 
     Attributes:
-        topic: by its full name.
-        message_type: of the velocities.
+        topic: of the velocities, or the action; by its full name.
+        message_type: of the velocities; `CANCELLING` for an action.
         graph: how its graph is reached, such as `dds:domain=7`; empty for that of the run's robot.
     """
 
@@ -51,12 +55,12 @@ _types: dict[str, str] = {}
 
 
 def hear_commanded(listener: Callable[[Commanded], object]) -> None:
-    """Call `listener` with each topic on which a velocity is about to be commanded."""
+    """Call `listener` with each topic or action before the first velocity is commanded, or the first goal sent."""
     _listeners.append(listener)
 
 
 def tell_commanded(topic: str, message_type: str, graph: str | None = "") -> None:
-    """Tell the listeners that velocities will be commanded on a topic, with the fields of `Commanded`.
+    """Tell the listeners that a robot will be commanded by a topic or an action, with the fields of `Commanded`.
 
     Without a graph they are not told: a robot that is simulated in this process ends with it.
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import ExitStack, closing, nullcontext
 from enum import StrEnum
@@ -13,9 +12,10 @@ from robot_runner.core.events.context import RobotRunnerContext
 from robot_runner.core.events.measure import Measure, MeasureValue
 from robot_runner.core.links.commanded_topics import TWISTS
 from robot_runner.core.links.connect import connect_robot, is_simulation, robot_namespace
+from robot_runner.core.links.goal_cancelling import cancel_all_goals
 from robot_runner.core.links.goals import ActionResult, GoalStatus
 from robot_runner.core.links.graph_names import GraphNeed, field_of, full_name
-from robot_runner.core.links.robot import Encoding, Goal, Message, RobotLink
+from robot_runner.core.links.robot import Goal, RobotLink
 from robot_runner.core.words import listed
 from robot_runner.ros.missions.goal_measures import FeedbackMeasures, ResultMeasures
 from robot_runner.ros.missions.way_measures import WayMeasures
@@ -33,16 +33,6 @@ _LOOK = 0.02
 _LOOK_FOR_SERVER = 1.0
 #: How long the result may take once the goal is over, s.
 _RESULT_SECONDS = 5.0
-#: action_msgs/srv/CancelGoal: the server refuses to cancel.
-_REFUSED = 1
-_NOW = {"sec": 0, "nanosec": 0}
-#: actionlib_msgs/GoalStatus: pending and active, without a cancel request.
-_EXECUTED = {0, 1}
-#: The timeout for a server's states after a cancel request, s: it publishes them five times a second.
-_TOLD_SECONDS = 1.0
-#: A goal that was sent just before its client was killed may reach the server after the cancel request. So the request
-#: is repeated: the period, and for how long, s.
-_ASK_AGAIN, _LATE_SECONDS = 0.2, 2.0
 
 
 class _Failure(StrEnum):
@@ -232,9 +222,7 @@ class ActionMission(RobotSystem):
                 each.callback(self._cancel)
             elif not link.is_simulated:
                 name, timeout = full_name(namespace, self.action), self.cancel_timeout_s
-                # Without a link, this is the standby of a dead process, whose goal may still be on its way.
-                late = _LATE_SECONDS if self._link is None else 0.0
-                each.callback(_cancel_all_goals, link, self.action, name, timeout=timeout, late_seconds=late)
+                each.callback(cancel_all_goals, link, name, timeout=timeout)
             if wheels is not None:  # at first, and again when the goal is over
                 wheels.command(0.0, 0.0)
 
@@ -318,75 +306,3 @@ class ActionMission(RobotSystem):
             self._cancel()
         except LinkError as error:
             fault.add_note(f"The goal could not be cancelled: {error}")
-
-
-def _cancel_all_goals(
-    link: RobotLink, action: str, full_name: str, *, timeout: float, late_seconds: float = 0.0
-) -> None:
-    """Request the cancelling of all goals of an action server, also those of others; do nothing without a server.
-
-    The request has no time stamp, up to which actionlib would cancel later goals as well: where clocks differ, or the
-    graph's time is simulated, it would go on cancelling the goals of others.
-
-    Args:
-        link: to the robot.
-        action: its name, as the link takes it.
-        full_name: its name on the graph.
-        timeout: of the server's answer, s.
-        late_seconds: for how long to repeat the request, s: a goal may still be on its way.
-    """
-    begun = time.monotonic()
-    # A graph that is known: a server that it lacks has ended, and is not waited for.
-    patience = timeout if late_seconds else min(_TOLD_SECONDS, timeout)
-    while True:
-        is_last = time.monotonic() >= begun + late_seconds
-        if not _ask_to_cancel(link, action, full_name, timeout=timeout, patience=patience) or is_last:
-            return
-        time.sleep(_ASK_AGAIN)
-
-
-def _ask_to_cancel(link: RobotLink, action: str, full_name: str, *, timeout: float, patience: float) -> bool:
-    """Request the cancelling of all goals of a server, and return whether it is there.
-
-    In both generations, an empty goal id with a stamp of zero means all goals (action_msgs/srv/CancelGoal, and
-    actionlib's "cancel policy": http://wiki.ros.org/actionlib/DetailedDescription).
-    """
-    if link.encoding is Encoding.ROS1:
-        return _cancel_in_ros1(link, action, full_name, timeout=timeout)
-    service, message_type = f"{action}/_action/cancel_goal", "action_msgs/CancelGoal"
-    try:
-        answer = link.call(service, message_type, {}, timeout=patience)
-    except LinkError:
-        if full_name not in link.actions():
-            return False
-        if patience >= timeout:
-            raise
-        answer = link.call(service, message_type, {}, timeout=timeout)
-    if answer["return_code"] == _REFUSED:
-        fix = "Look at the log of its server, and stop the robot by hand."
-        raise LinkError("the action server refuses to cancel its goals", where=full_name, fix=fix)
-    return True
-
-
-def _cancel_in_ros1(link: RobotLink, action: str, full_name: str, *, timeout: float) -> bool:
-    """Repeat the request until the server's states show no active goal, as ROS 1 does not answer such a request."""
-    deadline = time.monotonic() + timeout
-    while True:
-        link.publish(f"{action}/cancel", "actionlib_msgs/GoalID", {"stamp": _NOW, "id": ""})
-        try:
-            link.wait_for(
-                f"{action}/status", "actionlib_msgs/GoalStatusArray", _is_none_executed, timeout=_TOLD_SECONDS
-            )
-        except LinkError as error:
-            if full_name not in link.actions():
-                return False
-            if time.monotonic() >= deadline:
-                problem = f"the action server does not tell within {timeout:g} s that it cancels its goals"
-                fix = "Look at the log of its server, and stop the robot by hand."
-                raise LinkError(problem, where=full_name, fix=fix) from error
-        else:
-            return True
-
-
-def _is_none_executed(states: Message) -> bool:
-    return not any(each["status"] in _EXECUTED for each in states["status_list"])
