@@ -204,6 +204,12 @@ def _crossover(treatments: int, subjects: int) -> Iterator[tuple[str, ...]]:
             yield f"subject {subject:02}", f"{period + 1}", f"t{treatment}"
 
 
+def _of_two(runs: Iterator[tuple[str, ...]]) -> Iterator[tuple[str, ...]]:
+    """Yield the same runs, whose four treatments are the combinations of two factors."""
+    for *others, treatment in runs:
+        yield *others, f"a{int(treatment[-1]) // 2}", f"b{int(treatment[-1]) % 2}"
+
+
 def _fraction(basic: int, generated: Sequence[Sequence[int]], runs: int) -> Iterator[tuple[str, ...]]:
     for signs in product((-1, 1), repeat=basic):
         every = [*signs, *(math.prod(signs[place] for place in word) for word in generated)]
@@ -266,6 +272,23 @@ _DESIGNS = (
             {"Subject": 2.0, "Period": 1.0},
         )
         for treatments, subjects, washout in ((2, 8, True), (3, 6, False), (4, 8, False), (4, 8, True))
+    ),
+    *(
+        DesignedNull(
+            f"crossover of 2 x 2 treatments, {subjects} subjects who respond differently to A{', washout' * washout}",
+            {**_CROSSED, "washout": washout},
+            ("Subject", "Period", "A", "B"),
+            list(_of_two(_crossover(4, subjects))),
+            {"Subject": 2.0, "Period": 1.0, "Subject x A": 2.0},
+        )
+        for subjects, washout in ((8, True), (12, False))
+    ),
+    DesignedNull(
+        "split plot, 6 whole plots of each of 2, 2 x 2 within, which respond differently to A",
+        _PLOTS,
+        ("Replicate", "Plot", "Hard", "A", "B"),
+        list(_of_two(_split_plot(6, 2, 4, replicates=False))),
+        {"Plot": 2.0, "Plot x A": 2.0},
     ),
     DesignedNull(
         "7 treatments in 7 blocks of 3", _BLOCKS, ("Block", "Treatment"), list(_incomplete(_FANO)), {"Block": 2.0}

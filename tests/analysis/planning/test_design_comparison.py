@@ -44,9 +44,10 @@ def test_designs_are_compared_by_what_they_tell_and_find():
     split = designs["split plot, Floor in whole plots"]
     assert split.runs > 2 * full.runs
     assert all(each.seconds <= 4 * 3600 for each in designs.values() if each.repetitions)
-    # 14 effects are corrected together; ten whole plots tell of floors with eight degrees of freedom.
+    # 14 effects are corrected together; ten whole plots, which vary no more than runs here, tell of floors with eight
+    # degrees of freedom, and of what changes within them as well: of how each responds to it.
     powers = dict(split.powers)
-    assert powers["effect of Floor on Energy"] < powers["effect of Map on Energy"]
+    assert powers["effect of Floor on Energy"] == pytest.approx(powers["effect of Map on Energy"], abs=0.04)
     assert split.power > full.power + 0.2
     assert found.recommended == split.name
     assert "No design reaches 80%" in " ".join(found.reasons)

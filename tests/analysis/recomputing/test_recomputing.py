@@ -15,6 +15,7 @@ import shutil
 import subprocess
 import warnings
 from functools import cache
+from itertools import product
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import matplotlib.pyplot as plt
@@ -26,7 +27,10 @@ from tests.conftest import TABLE, written_config
 from tests.long_cases import long_but, soak_but
 
 from robot_runner import AnalysisPlan, Estimand
-from robot_runner.analysis import analyse, load_results
+from robot_runner.analysis import DeclaredDesign, analyse, load_results
+from robot_runner.analysis.importing.adoption import adopt
+from robot_runner.analysis.importing.description import ImportDescription
+from robot_runner.analysis.importing.understanding import understand
 from robot_runner.analysis.recomputing import fact_finding
 from robot_runner.analysis.recomputing.literals import _templates
 from robot_runner.analysis.recomputing.recomputations import Recomputation, r_script, write_recomputations
@@ -174,6 +178,18 @@ BITS = [Factor(name, [0, 1]) for name in "WXYZ"]
 DESIGNED: dict[str, tuple[list[Factor], int, set[int], dict[str, Any]]] = {
     "a split plot": ([MAPS, LAYINGS, TASKS], 1, set(), {"chosen": SplitPlot(hard="Map", plot="Laying")}),
     "a split plot that lost runs": ([MAPS, LAYINGS, TASKS], 1, {3, 8}, {"chosen": SplitPlot("Map", "Laying")}),
+    "a split plot of two factors within, adjusted for bytes, a plot lacking one": (
+        [MAPS, LAYINGS, TASKS, Factor("Speed", [1, 2])],
+        2,
+        {3, 15, 16, 17, 18, 19, 20, 21, 22, 23, 24},
+        {"chosen": SplitPlot("Map", "Laying"), "analysis": {"measures": ["Energy"], "covariates": ["CPU"]}},
+    ),
+    "a crossover of two factors": (
+        [TASKS, MAPS, Factor("Driver", list("abcdefghijkl")), Factor("Period", [1, 2, 3, 4, 5, 6])],
+        1,
+        set(),
+        {"chosen": Crossover("Driver", "Period"), "analysis": PLAN},
+    ),
     "a crossover, carried over": (
         [TASKS, DRIVERS, Factor("Period", [1, 2, 3])],
         2,
@@ -235,7 +251,8 @@ def experiment(folder: Path, name: str) -> Path:
         if "tiny differences" in name:
             energy = 50 + energy * 1e-7
         told = bool(random.random() < 0.3 + 0.2 * effect) if "yes or no" in name else float(energy)
-        return None if next(runs) in missing else {"Energy": told, "CPU": float(random.lognormal())}
+        beside = float(random.lognormal()) * (1e11 if "bytes" in name else 1)  # far from the size of other columns
+        return None if next(runs) in missing else {"Energy": told, "CPU": beside}
 
     made = make_experiment(
         folder / "made",
@@ -314,6 +331,8 @@ IN_BOTH = {
     "yes or no, a conditional factor",
     "odd names",
     "a split plot that lost runs",
+    "a split plot of two factors within, adjusted for bytes, a plot lacking one",
+    "a crossover of two factors",
     "a crossover, carried over",
     "ranks of a surface",
     "single runs of a fraction",
@@ -626,3 +645,31 @@ def test_another_plan_is_followed_as_the_report_follows_it(tmp_path: Path, monke
     told = executed(notebook, monkeypatch)
     assert "numbers agree" in told
     assert "Comparisons of ranks." in notebook.read_text(encoding="utf-8")
+
+
+@pytest.mark.long
+@needs_r
+def test_runs_of_a_subject_in_several_periods_with_one_treatment_are_computed_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    random = np.random.default_rng(3)
+    lines = ["Robot,Trial,Sensor,Energy,Load"]
+    for robot, trial in product(range(8), range(4)):
+        sensor = "lidar" if (robot + (trial in {1, 2})) % 2 else "camera"
+        lines.append(f"r{robot},{trial},{sensor},{30 + robot + random.normal():.3f},{random.normal():.3f}")
+    table = tmp_path / "study" / "run_table.csv"
+    table.parent.mkdir()
+    table.write_text("\n".join(lines[:-1]) + "\n", encoding="utf-8")
+    declared = DeclaredDesign.of_mapping({"kind": "crossover", "unit": "Robot", "period": "Trial", "washout": True})
+    said = ImportDescription(factors=("Robot", "Trial", "Sensor"), measures=("Energy", "Load"), design=declared)
+    adopt(understand(table.parent, said), tmp_path / "ours")
+    results = load_results(tmp_path / "ours")
+    (effect,) = analyse(results).measure("Energy").test.effects
+    assert effect.degrees_of_freedom == (1, 5)
+    study = fact_finding.facts_of_study(results, results.folder)
+    notebook, script = (results.folder / kind.value for kind in Recomputation)
+    notebook.write_text(notebook_of(study), encoding="utf-8")
+    script.write_text(r_script(study), encoding="utf-8")
+    assert "numbers agree" in executed(notebook, monkeypatch)
+    finished = rscript(script)
+    assert finished.returncode == 0, finished.stdout[-3000:] + finished.stderr

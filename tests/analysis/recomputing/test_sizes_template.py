@@ -56,3 +56,22 @@ def test_the_notebook_knows_the_size_of_an_effect_however_small_its_p_value_is()
     beyond = space["omega_squared"](found, variance=1.0, spread=1.0, p=4.8e-113)
     assert beyond["omega squared"] == pytest.approx(0.5)
     assert np.isnan(beyond["omega squared low"])
+
+
+@pytest.mark.long
+@pytest.mark.skipif(shutil.which("Rscript") is None, reason="R is not installed (Debian: apt install r-base-core)")
+def test_an_effect_whose_p_value_is_one_has_no_size_in_r() -> None:
+    # Sign flips of blocks have such a p-value where every flip has at least as large a statistic.
+    template = (TEMPLATES / "sizes.R.j2").read_text(encoding="utf-8")
+    formula = template[template.index("omega_squared <-") :]
+    formula = formula[: formula.index("\n}\n") + 3].replace("{{ 1 - 2 * study.alpha }}", "0.9")
+    asked = 'cat(omega_squared(c("statistic" = 0.7, "df" = 1, "df 2" = 9, "by p" = 1, "p" = 1), 1, 1))'
+    finished = subprocess.run(
+        ["Rscript", "--vanilla", "-"],
+        input=f"{formula}\n{asked}\n",
+        check=True,
+        capture_output=True,
+        text=True,
+        timeout=300,
+    )
+    assert finished.stdout == "1 NA NA NA"

@@ -54,6 +54,20 @@ def report(
     return report_document(Material(results, analyse(results)), made="")
 
 
+@pytest.mark.long
+def test_of_many_outliers_those_that_are_farthest_from_the_others_are_named(tmp_path: Path) -> None:
+    def energy(treatments: dict[str, Any], repetition: int) -> dict[str, Any]:
+        crashed = (treatments["Task"], repetition) == ("B", 30)
+        odd = 160.0 if crashed else 1010.0 if repetition % 4 == 0 else 990.0
+        return {"Energy": odd if repetition <= 14 or crashed else 1000.0 + repetition / 100}
+
+    make_experiment(tmp_path, [TASK], energy, repetitions=60)
+    results = load_results(tmp_path)
+    document = report_document(Material(results, analyse(results)), made="")
+    (told,) = [each.text for each in document.blocks() if isinstance(each, Paragraph) and "fences" in each.text]
+    assert told.startswith("29 outliers by Tukey's fences, the farthest from their medians first: r_60 (160.0, ")
+
+
 def figure(document: Document, name: str) -> FigureBlock:
     return next(each for each in document.figures if each.name == name)
 

@@ -189,6 +189,41 @@ def test_a_narrow_screen_is_not_wider_than_itself(browser, sampled_page, width):
     assert browser.complaints == []
 
 
+#: Has a page keep what it draws on canvases as text, in a browser of a reader who writes 1.200,5.
+DRAWN = """
+Object.defineProperty(navigator, 'language', {value: 'de-DE'});
+window.drawn = [];
+const draw = CanvasRenderingContext2D.prototype.fillText;
+CanvasRenderingContext2D.prototype.fillText = function (text, ...more) {
+  window.drawn.push(text);
+  return draw.call(this, text, ...more);
+};
+"""
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    ("values", "marks"),
+    [
+        ((0.00021, 0.00034, 0.00047), {"0.00020", "0.00025", "0.00030"}),
+        ((1.0e-9, 1.4e-9, 2.6e-9), {"1.0e-09", "1.5e-09", "2.0e-09", "2.5e-09"}),
+        ((-1200.0, -1250.5, -1400.0), {f"\N{MINUS SIGN}1,{part}" for part in (400, 350, 300, 250, 200)}),
+        ((1e9, 1e9 + 20, 1e9 + 30), {"1,000,000,000", "1,000,000,010", "1,000,000,020"}),
+        ((0.0, 0.5, 1.25), {"0.00", "0.25", "0.50"}),
+    ],
+)
+def test_axes_have_marks_that_differ_and_read_as_the_numbers_of_the_report(browser, make_folder, values, marks):
+    rows = [("A", each) for each in values]
+    folder = make_folder(factors={"T": ["A"]}, rows=rows, measures={"Latency": "s"})
+    script = browser.call("Page.addScriptToEvaluateOnNewDocument", source=DRAWN)
+    try:
+        browser.open(write_report(folder.root, figures=()).document)
+        drawn = browser.evaluate("window.drawn")
+    finally:
+        browser.call("Page.removeScriptToEvaluateOnNewDocument", identifier=script["identifier"])
+    assert marks <= {*drawn}, drawn
+
+
 def test_names_without_a_blank_and_great_numbers_fit_on_a_phone(browser, make_folder):
     name = "Acceleration_of_the_mobile_platform_along_its_longitudinal_axis"
     rows = [(kind, 1_200_000.0 + 10_000 * place) for place, kind in enumerate("aaabbb")]

@@ -273,6 +273,16 @@ def test_a_drift_is_told_with_a_figure(make_folder):
     assert "order Energy" in [figure.name for figure in document(folder).figures]
 
 
+@pytest.mark.long
+def test_runs_in_a_row_that_are_alike_are_told_with_a_figure(make_folder):
+    series = [0.0, 9.0, -6.0, 3.0, 12.0, -12.0, 6.0, -3.0, 9.0, -6.0]
+    rows = [("abcd"[place % 4], 100.0 + series[place // 4] + place % 3 * 0.4) for place in range(40)]
+    folder = make_folder(factors={"Task": [*"abcd"]}, rows=rows, measures={"Energy": "J"})
+    told = threats(folder)["Energy is alike in runs that follow each other"]
+    assert (told.kind, told.tone) == ("Internal validity", Tone.WARNING)
+    assert "order Energy" in [figure.name for figure in document(folder).figures]
+
+
 def test_an_experiment_without_threats_says_so(two_tasks):
     made = document(two_tasks())
     remarks = [block for block in made.sections[6].blocks if isinstance(block, Remarks)]

@@ -44,3 +44,37 @@ without <- lm(y ~ Y + I(Y^2), surface)
 table <- anova(without, full)
 tell("surface", "X", table[2, "F"], table[2, "Df"], full$df.residual, table[2, "Pr(>F)"])
 last("surface", ~X:Y, full)
+
+# Units that tell their response to each of several factors.
+two <- typed(read("split_plot_of_two"))
+of_aov("split_plot_of_two", aov(y ~ Hard * A * B + Error(Plot / (A * B)), two), c("Hard", "A", "Hard:A"))
+three <- typed(read("split_plot_of_three"))
+of_aov(
+  "split_plot_of_three", aov(y ~ Replicate + (Hard + A + B + C)^3 + Error(Plot / (A * B * C)), three),
+  c("Hard", "A", "B", "C", "Hard:A", "Hard:B", "Hard:C", "A:B", "A:C", "B:C", "Hard:A:B", "Hard:A:C", "Hard:B:C", "A:B:C")
+)
+crossed <- typed(read("crossover_of_two"))
+of_aov("crossover_of_two", aov(y ~ Period + A * B + Error(Subject / (A * B)), crossed), c("A", "B", "A:B"))
+of_aov("periods_of_each", aov(y ~ Period + A + Error(Subject / A), typed(read("periods_of_each"))), "A")
+
+# Of several contrasts: with the epsilon of Huynh and Feldt, or of Geisser and Greenhouse where plots are few.
+wide <- function(data) {
+  data <- aggregate(y ~ Plot + Hard + A + B, data, mean)
+  data <- data[order(data$Plot, data$A, data$B), ]
+  plots <- data[!duplicated(data$Plot), ]
+  list(fit = lm(matrix(data$y, nrow(plots), byrow = TRUE) ~ plots$Hard), cells = data[data$Plot == data$Plot[1], c("A", "B")])
+}
+corrected <- function(name, data, which) {
+  of <- wide(data)
+  for (effect in c("B", "A:B")) {
+    inner <- if (effect == "B") ~A else ~ A + B
+    outer <- if (effect == "B") ~ A + B else ~ A * B
+    table <- anova(of$fit, M = outer, X = inner, idata = of$cells, test = "Spherical")
+    for (row in 1:2) {
+      label <- paste0(c("", "Hard:")[row], effect)
+      cat(sprintf('{"design": "%s", "effect": "%s", "corrected": [%.12g, %.12g]}\n', name, label, table[row, "F"], table[row, which]))
+    }
+  }
+}
+corrected("split_plot_of_two", two, "H-F Pr")
+corrected("few_plots_of_two", typed(read("few_plots_of_two")), "G-G Pr")

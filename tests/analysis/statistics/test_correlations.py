@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
+    from robot_runner.analysis.statistics.analysed_design import MeasureData
     from robot_runner.analysis.statistics.outcome import ExperimentStatistics
     from robot_runner.analysis.statistics.tested import NotComputed
 
@@ -110,6 +111,45 @@ def test_a_drift_is_found_where_treatments_were_executed_one_after_the_other() -
     assert found.is_significant
     assert found.is_confounded
     assert found.slope == pytest.approx(-0.3, abs=0.1)
+
+
+def executed_in_rows(values: np.ndarray) -> MeasureData:
+    """Return a measure of treatments, a row each, that were all executed once, then all again, as written."""
+    data = one_factor({f"t{at}": list(each) for at, each in enumerate(values)})
+    treatments, repetitions = values.shape
+    places = np.arange(1, values.size + 1).reshape(repetitions, treatments).T.ravel()
+    return replace(data, frame=data.frame.assign(**{PLACE: places}))
+
+
+def test_what_runs_that_follow_each_other_share_is_told_though_nothing_drifts() -> None:
+    shared = np.array([0.0, 3.0, -2.0, 1.0, 4.0, -4.0, 2.0, -1.0, 3.0, -2.0])
+    found = drift_of(executed_in_rows(np.random.default_rng(5).normal(size=(6, 10)) + shared), 0.05)
+    assert isinstance(found, Drift)
+    assert not found.is_significant
+    assert found.warning.startswith(
+        "y is alike in runs that follow each other in the order of execution within treatments (r = 0.6"
+    )
+    assert found.warning.endswith("as if they were independent. Blocks of runs close in time would allow for it.")
+
+
+def test_what_blocks_take_out_makes_no_runs_alike() -> None:
+    random = np.random.default_rng(5)
+    shared = random.normal(size=10) * 5
+    data = one_factor({f"t{at}": list(random.normal(size=10) + shared) for at in range(6)}, in_blocks=True)
+    places = np.column_stack([6 * block + random.permutation(6) for block in range(10)]).ravel() + 1
+    found = drift_of(replace(data, frame=data.frame.assign(**{PLACE: places})), 0.05)
+    assert isinstance(found, Drift)
+    assert found.warning == ""
+
+
+@pytest.mark.long
+def test_chance_makes_runs_alike_in_one_percent_of_experiments() -> None:
+    random, count = np.random.default_rng(6), 0
+    for _ in range(300):
+        found = drift_of(executed_in_rows(random.normal(size=(4, 10))), 0.05)
+        assert isinstance(found, Drift)
+        count += bool(found.warning) and not found.is_significant
+    assert count / 300 < 0.03
 
 
 @pytest.mark.long

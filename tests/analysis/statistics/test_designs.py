@@ -15,8 +15,14 @@ from tests.analysis.statistics.reference_data import one_factor, split_plot, two
 from robot_runner.analysis import analyse, load_results
 from robot_runner.analysis.statistics.analysed_design import design_of
 from robot_runner.analysis.statistics.cell_layout import layout_of
-from robot_runner.analysis.statistics.contrasts import Moments, bootstrapped, combined, contrast, welch_james
-from robot_runner.analysis.statistics.contrasts import _unbiased as unbiased_squares
+from robot_runner.analysis.statistics.contrasts import (
+    Moments,
+    bootstrapped,
+    combined,
+    contrast,
+    unbiased_squares,
+    welch_james,
+)
 from robot_runner.analysis.statistics.descriptive import describe
 from robot_runner.analysis.statistics.effect_sizes import cohens_d, noncentralities_of_f, noncentralities_of_t
 from robot_runner.analysis.statistics.linear_model import FittedModel

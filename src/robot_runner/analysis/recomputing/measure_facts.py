@@ -29,6 +29,7 @@ from robot_runner.analysis.recomputing.study_facts import (
     TestedEffect,
 )
 from robot_runner.analysis.statistics.batch_strata import comparable
+from robot_runner.analysis.statistics.cell_layout import Layout
 from robot_runner.analysis.statistics.cell_means import CellMeans
 from robot_runner.analysis.statistics.descriptive import quiet
 from robot_runner.analysis.statistics.known_precision import level_of_looks
@@ -38,6 +39,7 @@ from robot_runner.analysis.statistics.strata_model import StrataModel
 from robot_runner.analysis.statistics.surface_model import SurfaceModel
 from robot_runner.analysis.statistics.tested import Effect, NotComputed, PostHoc
 from robot_runner.analysis.statistics.tests import Choices, check_estimand, model_of
+from robot_runner.analysis.statistics.unit_responses import within_units
 from robot_runner.core.design.analysis_plan import Estimand
 from robot_runner.core.design.columns import RUN_ID
 
@@ -236,7 +238,8 @@ def _compared(
         is_uniform=_is_uniform(model) and _is_uniform(beside),
         terms=_terms(model),
         nested=tuple((name, tuple(of.items())) for name, of in nested.items()),
-        units=used.known.columns if isinstance(model, StrataModel) else (),
+        units=_reduced_by(used, model) if isinstance(model, StrataModel) else (),
+        responses=within_units(used, used.unit_names) if isinstance(model, StrataModel) and model.has_responses else (),
         has_plots=isinstance(model, StrataModel) and len(model.fits) > 1,
         surface=None if measure.surface is None else surface_facts(measure.surface),
     )
@@ -246,6 +249,11 @@ def _kind(model: FittedModel | StrataModel | LenthModel | SurfaceModel) -> str:
     if isinstance(model, FittedModel):
         return "linear" if model.blocks is None else "mixed"
     return "strata" if isinstance(model, StrataModel) else "lenth" if isinstance(model, LenthModel) else "surface"
+
+
+def _reduced_by(data: MeasureData, model: StrataModel) -> tuple[str, ...]:
+    """Return the columns within which repeated runs of a combination are averaged."""
+    return tuple(name for name in data.known.columns if not (model.is_of_units and name == data.known.period))
 
 
 def _is_designed(model: Model, measure: MeasureStatistics) -> bool:
@@ -310,7 +318,8 @@ def _is_uniform(model: Model | NotComputed) -> bool:
 
 
 def _left_out(data: MeasureData, model: Model) -> tuple[str, ...]:
-    rows = model.layout.left_out if isinstance(model, CellMeans) else ()
+    of = model.layout if isinstance(model, CellMeans) else model
+    rows = of.left_out if isinstance(of, Layout | StrataModel) else ()
     return tuple(data.frame[RUN_ID].iloc[list(rows)])
 
 

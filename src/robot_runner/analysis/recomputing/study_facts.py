@@ -135,6 +135,7 @@ class Compared:
         terms: for an incomplete factorial, the estimated effects, each as whether it includes each factor.
         nested: the conditions of conditional factors: the treatments of parents, by factor.
         units: for `strata`, the columns of blocks within which repeated runs of a combination are averaged.
+        responses: for `strata`, the factors to whose effects each unit tells its response.
         has_plots: whether there is a stratum of whole plots.
         surface: the polynomial of a `surface`.
     """
@@ -158,6 +159,7 @@ class Compared:
     terms: tuple[tuple[bool, ...], ...] = ()
     nested: tuple[tuple[str, tuple[tuple[str, tuple[str, ...]], ...]], ...] = ()
     units: tuple[str, ...] = ()
+    responses: tuple[str, ...] = ()
     has_plots: bool = False
     surface: SurfaceFacts | None = None
 
@@ -335,8 +337,7 @@ class StudyFacts:
     @property
     def draws(self) -> bool:
         """Whether some p-value is simulated."""
-        effects = [effect for each in self.compared for effect in each.effects]
-        return any(effect.drawn is not None or effect.check_is_drawn for effect in effects)
+        return any(each.drawn is not None or each.check_is_drawn for of in self.compared for each in of.effects)
 
     def has(self, *kinds: str) -> bool:
         """Return whether some comparison is of one of these kinds."""

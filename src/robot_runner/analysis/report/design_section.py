@@ -307,13 +307,16 @@ def _about_intervals(intervals: Iterable[Interval | None]) -> str:
 
 def _notes(measure: MeasureStatistics) -> Iterator[str]:
     groups = measure.by_combination or measure.by_treatment
-    outliers = {outlier.run_id: outlier for group in groups for outlier in group.outliers}
+    # One run that went wrong may stand behind dozens that a narrow box made outliers: it decides the tests.
+    found = [(abs(each.value - (group.median or 0.0)), each) for group in groups for each in group.outliers]
+    outliers = {each.run_id: each for _, each in sorted(found, key=lambda pair: -pair[0])}
     if outliers:
         named = [
             f"{run_id} ({with_unit(outlier.value, measure.unit)}{', extreme' if outlier.is_extreme else ''})"
             for run_id, outlier in outliers.items()
         ]
-        many = f"{counted(len(outliers), 'outlier')} by Tukey's fences"
+        first = ", the farthest from their medians first" if len(outliers) > 1 else ""
+        many = f"{counted(len(outliers), 'outlier')} by Tukey's fences{first}"
         yield f"{many}: {listed(named, shown=_MOST_NAMED)}. None of these was left out."
     for missed in measure.not_computed:
         yield f"Not computed: {missed.what}. {sentence(missed.why)}"

@@ -52,7 +52,7 @@ def threats_section(material: Material, threats: Sequence[Remark]) -> Section:
     figures = tuple(
         drift_figure(material, measure, measure.drift)
         for measure in material.statistics.measures
-        if measure.drift is not None and (measure.name in material.drawn or measure.drift.is_significant)
+        if measure.drift is not None and (measure.name in material.drawn or measure.drift.warning)
     )
     if figures:
         doubt = "" if execution_order(material.results).is_known else ", which may be another than that of execution,"
@@ -174,9 +174,9 @@ def _is_silent(measure: MeasureStatistics) -> bool:
 
 def _drifts(material: Material) -> Threats:
     for measure in material.statistics.measures:
-        if measure.drift is not None and measure.drift.warning:
-            tone = Tone.BAD if measure.drift.is_confounded else Tone.WARNING
-            yield f"{measure.name} drifts over the experiment", measure.drift.warning, tone
+        if (drift := measure.drift) is not None and drift.warning:
+            what = "drifts over the experiment" if drift.is_significant else "is alike in runs that follow each other"
+            yield f"{measure.name} {what}", drift.warning, Tone.BAD if drift.is_confounded else Tone.WARNING
 
 
 def _order(material: Material) -> Threats:

@@ -13,6 +13,7 @@ from robot_runner.analysis.statistics.cell_layout import ALONE
 from robot_runner.analysis.statistics.cell_moments import NOT_AVERAGED, AveragedOut, SpreadPart
 from robot_runner.analysis.statistics.contrasts import (
     DRAWS,
+    FREEDOM_A_CONTRAST,
     MOST_FLIPPED,
     Contrast,
     Moments,
@@ -38,10 +39,6 @@ if TYPE_CHECKING:
 _ROUNDING = 1e-12
 
 _PAIR = 2
-
-#: The fewest degrees of freedom, per contrast and group, with which Huynh and Feldt's correction holds its level
-#: (3.7 to 6.5 % at 5 %; with fewer up to 9 %), by simulation.
-_FREEDOM_A_CONTRAST = 2
 
 #: Eight blocks have 128 patterns of signs, so the smallest p-value is 0.008; with fewer blocks, a family of tests has
 #: hardly any power.
@@ -223,7 +220,7 @@ class CellMeans:
 
     def _within_units(self, effect: EffectContrast) -> tuple[str, Tested]:
         """Test contrasts of several cells within units, whose covariance is unknown."""
-        least = _FREEDOM_A_CONTRAST * len(self.layout.sizes) * len(effect.within)
+        least = FREEDOM_A_CONTRAST * len(self.layout.sizes) * len(effect.within)
         is_corrected = bool(self.moments.freedom.min() >= least)
         found = box(self.moments, effect.between, effect.within, is_corrected=is_corrected)
         if not is_corrected and self.units is not None and self._can_be_flipped:

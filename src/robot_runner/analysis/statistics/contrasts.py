@@ -47,6 +47,10 @@ _ORDER = -1 / 3
 #: The most contrasts for a bootstrap: larger matrices take too long to invert thousands of times.
 _MOST_INVERTED = 12
 
+#: The fewest degrees of freedom, per contrast and group, with which Huynh and Feldt's correction holds its level
+#: (3.7 to 6.5 % at 5 %; with fewer up to 9 %), by simulation.
+FREEDOM_A_CONTRAST = 2
+
 #: A variance below this share of the one that independent cells would have is rounding; so is a weight below this share
 #: of the largest.
 _ROUNDED = 1e-13
@@ -299,7 +303,7 @@ def box(moments: Moments, between: Floats, within: Floats, *, is_corrected: bool
     own = traces.sum(axis=-1)
     total, crossed = own**2, np.einsum("gh,...gab,...hba->...", shares**2, spread, spread)
     if is_corrected:
-        unbiased = _unbiased(traces, squares, moments.freedom, len(within))
+        unbiased = unbiased_squares(traces, squares, moments.freedom, len(within))
         total = total - 2 * np.sum(unbiased / moments.freedom, axis=-1)
         crossed = crossed + np.sum(unbiased - squares, axis=-1)
         squares = unbiased
@@ -333,7 +337,7 @@ def sign_flipped(contrasts: Floats) -> Floats:
     return np.asarray(as_far / 2 ** (blocks - 1))
 
 
-def _unbiased(traces: Floats, squares: Floats, freedom: Floats, count: int) -> Floats:
+def unbiased_squares(traces: Floats, squares: Floats, freedom: Floats, count: int) -> Floats:
     """Return unbiased estimates of the traces of squared covariances (Huynh and Feldt 1976, from Wishart's moments).
 
     Args:

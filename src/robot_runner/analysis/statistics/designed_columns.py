@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import lru_cache
 from itertools import combinations_with_replacement
 from typing import TYPE_CHECKING, NamedTuple
@@ -40,13 +40,19 @@ def numbers_of_levels(levels: Sequence[str]) -> list[float] | None:
     return found if np.isfinite(found).all() else None
 
 
-def carried_over(frame: pd.DataFrame, factors: Mapping[str, Sequence[str]], beside: Floats) -> Floats | None:
+def carried_over(
+    frame: pd.DataFrame,
+    factors: Mapping[str, Sequence[str]],
+    beside: Floats,
+    mean_of: Callable[[Floats], Floats] = lambda columns: columns,
+) -> Floats | None:
     """Return the columns of carry-over, the previous treatment, 0 in the first period; None if not estimable.
 
     Args:
         frame: the runs.
         factors: the treatments of each factor.
         beside: the columns of the constant, blocks and main effects.
+        mean_of: reduces columns of runs to those of their means, as `beside` is.
     """
     parts = []
     for name, levels in factors.items():
@@ -54,7 +60,7 @@ def carried_over(frame: pd.DataFrame, factors: Mapping[str, Sequence[str]], besi
         known = before.isin(levels).to_numpy()
         codes = before.map({text: place for place, text in enumerate(levels)}).fillna(0).to_numpy(int)
         parts.append(coded_columns({name: codes}, {name: len(levels)}, (name,)) * known[:, None])
-    columns = np.column_stack(parts)
+    columns = mean_of(np.column_stack(parts))
     told = _rank(np.column_stack([beside, columns])) - _rank(beside)
     return columns if told == columns.shape[1] else None
 

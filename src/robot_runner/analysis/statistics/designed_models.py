@@ -5,7 +5,7 @@ The design determines the model, never the values. Full factorials and complete 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -14,25 +14,30 @@ import pandas as pd
 
 from robot_runner.analysis.arrays import Floats, Numbers
 from robot_runner.analysis.statistics.analysed_design import BATCH, VALUE, MeasureData, covariate_column
-from robot_runner.analysis.statistics.cell_layout import MOST_FACTORS, listed_layout, relative_ranks
+from robot_runner.analysis.statistics.cell_layout import COMPLETE, MOST_FACTORS, listed_layout, relative_ranks
 from robot_runner.analysis.statistics.cell_means import CellMeans
 from robot_runner.analysis.statistics.cell_moments import averaged_out
 from robot_runner.analysis.statistics.designed_columns import block_columns, carried_over, numbers_of_levels
 from robot_runner.analysis.statistics.effect_coding import Factors, Term, coded_columns
+from robot_runner.analysis.statistics.grouped_runs import numbered
 from robot_runner.analysis.statistics.known_design import role_column
 from robot_runner.analysis.statistics.lenth_test import LenthModel, fit_lenth
 from robot_runner.analysis.statistics.nested_factors import codes_of
 from robot_runner.analysis.statistics.strata_model import Hypothesis, StrataModel, fit_strata
 from robot_runner.analysis.statistics.surface_model import SurfaceModel, fit_surface
 from robot_runner.analysis.statistics.tested import NotComputed, NoVariation, TestMethod
-from robot_runner.analysis.wording import p_in_words, shown_test
+from robot_runner.analysis.statistics.unit_responses import UnitRuns, responses_of
+from robot_runner.analysis.wording import listed, p_in_words, shown_test
 from robot_runner.core.design.analysis_plan import Estimand, Statistic
+from robot_runner.core.design.columns import RUN_ID
 from robot_runner.core.words import enumerated
 
 #: The models of special designs, besides the means of combinations.
 DesignedModel = StrataModel | LenthModel | SurfaceModel
 
 _ONE_VARIANCE = "One variance serves all runs."
+
+_BLOCKS = "blocks"
 
 
 def designed_model_of(
@@ -51,26 +56,71 @@ def designed_model_of(
     if estimand is Estimand.TRIMMED_MEAN:
         return NotComputed("the test", "trimmed means are compared of runs of a full factorial without blocks.")
     values = data.values if values is None else values  # noqa: PD011 - no data frame
+    return _fitted_by_units(data, values, estimand, statistic) or _fitted(
+        data, values, _units(data), estimand, statistic
+    )
+
+
+def _fitted_by_units(data: MeasureData, values: Floats, estimand: Estimand, statistic: Statistic) -> StrataModel | None:
+    """Return the model of the mean of each combination in each unit; None where these do not tell how units respond."""
+    units = UnitRuns.of_data(data)
+    if units is None or units.are_complete.mean() < COMPLETE:
+        return None
+    kept = units.are_complete[units.unit]
+    runs, names = data.frame[RUN_ID][~kept], enumerated(data.known.unit_columns)
+    every = data.every[~data.every[RUN_ID].isin(set(runs))]
+    left = replace(data, frame=data.frame[kept].reset_index(drop=True), every=every)
+    if left.treatments != data.treatments:
+        return None
+    _, unit = np.unique(units.unit[kept] * units.factors.count + units.cell[kept], return_inverse=True)
+    found = _fitted(left, values[..., kept], unit, estimand, statistic, names)
+    if not isinstance(found, StrataModel) or not (found.has_responses or len(units.factors) == 1):
+        return None
+    notes = [f"Not each {names} has all combinations, so these runs are left out of the tests: {listed(runs)}."]
+    out = tuple(map(int, np.flatnonzero(~kept)))
+    return replace(found, left_out=out, notes=(*found.notes, *(notes if out else [])), is_of_units=True)
+
+
+def _fitted(
+    data: MeasureData,
+    values: Floats,
+    unit: Numbers | None,
+    estimand: Estimand,
+    statistic: Statistic,
+    within: str = _BLOCKS,
+) -> CellMeans | DesignedModel | NotComputed | None:
+    """Return the model of means of runs.
+
+    Args:
+        data: the measure.
+        values: (..., runs).
+        unit: the mean that each run belongs to; None if each run is one.
+        estimand: of the plan.
+        statistic: which tests several contrasts at once.
+        within: see `_Fitting`.
+    """
     if estimand is Estimand.RANK:
         values = relative_ranks(values, data.batches if data.is_extended else None)
-    unit = _units(data)
-    if unit is None:
-        return _Fitting(data, values).model(estimand, statistic)
-    model = _Fitting(*_averaged(data, values, unit)).model(estimand, statistic)
-    return replace(model, averaged_out=averaged_out(values, unit)) if isinstance(model, StrataModel) else model
+    if unit is None or int(unit.max()) + 1 == len(unit):
+        return _Fitting(data, values, data).model(estimand, statistic)
+    fitting = replace(_averaged(data, values, unit), within=within)
+    model = fitting.model(estimand, statistic)
+    if not isinstance(model, StrataModel):
+        return model
+    periods = numbered(data.frame, [role_column(data.known.period)]) if data.known.period else None
+    return replace(model, averaged_out=averaged_out(values, unit, batches=periods))
 
 
 def _units(data: MeasureData) -> Numbers | None:
-    """Return the combination within its blocks of each run; None if each has one run, or there are no blocks."""
+    """Return the combination within its blocks of each run; None without blocks."""
     if not data.known.columns:
         return None
     names = [*data.factors, *map(role_column, data.known.columns), *([BATCH] if data.is_extended else [])]
-    unit = data.frame.groupby(names, observed=True, sort=False).ngroup().to_numpy()
-    return None if int(unit.max()) + 1 == len(unit) else np.asarray(unit, dtype=np.intp)
+    return np.asarray(data.frame.groupby(names, observed=True, sort=False).ngroup(), dtype=np.intp)
 
 
-def _averaged(data: MeasureData, values: Floats, unit: Numbers) -> tuple[MeasureData, Floats]:
-    """Return one row for each combination within its blocks: repeated runs are reduced to their mean.
+def _averaged(data: MeasureData, values: Floats, unit: Numbers) -> _Fitting:
+    """Return the fit of one row for each combination within its blocks or unit: its runs are reduced to their mean.
 
     Such runs are not independent: they share the response of the block to the treatment.
     """
@@ -80,15 +130,26 @@ def _averaged(data: MeasureData, values: Floats, unit: Numbers) -> tuple[Measure
     told = {covariate_column(name): data.covariate(name) @ belongs for name in data.covariates}
     means = values @ belongs
     own = {VALUE: means} if means.ndim == 1 else {}
-    return replace(data, frame=frame.assign(**told, **own)), means
+    return _Fitting(replace(data, frame=frame.assign(**told, **own)), means, data, belongs)
 
 
 @dataclass(frozen=True)
 class _Fitting:
-    """The fit of one measure, with the parts that its models share."""
+    """The fit of one measure, with the parts that its models share.
+
+    Attributes:
+        data: one row for each mean of runs.
+        values: these means.
+        runs: one row for each run.
+        belongs: the weight of each run in each mean, (runs, means); None if each run is one.
+        within: what the runs of a mean have in common besides their treatments, in words.
+    """
 
     data: MeasureData
     values: Floats
+    runs: MeasureData
+    belongs: Floats | None = None
+    within: str = _BLOCKS
 
     def model(self, estimand: Estimand, statistic: Statistic) -> CellMeans | DesignedModel | NotComputed | None:
         known = self.data.known
@@ -153,14 +214,17 @@ class _Fitting:
     @cached_property
     def _blocks(self) -> Floats:
         """The nuisance columns: blocks, batches and covariates."""
-        parts = [block_columns(self.data, name) for name in self.data.known.blocks]
+        parts = [self._mean_of(block_columns(self.runs, name)) for name in self.data.known.blocks]
         if self.data.is_extended:
-            parts.append(pd.get_dummies(self.data.batches, dtype=np.float64).to_numpy())
+            parts.append(self._mean_of(pd.get_dummies(self.runs.batches, dtype=np.float64).to_numpy()))
         for name in self.data.covariates:
             covariate = self.data.covariate(name)
             if np.isfinite(covariate).all() and np.ptp(covariate) > 0:
                 parts.append(((covariate - covariate.mean()) / covariate.std())[:, None])
         return np.column_stack(parts) if parts else np.empty((len(self.data.frame), 0))
+
+    def _mean_of(self, columns: Floats) -> Floats:
+        return columns if self.belongs is None else self.belongs.T @ columns
 
     def _beside_blocks(self) -> StrataModel | NotComputed | None:
         """Fit effects and blocks; interactions are left out if runs are too few."""
@@ -170,21 +234,42 @@ class _Fitting:
         if len(self.data.frame) - rank - sum(map(self.factors.size, terms)) < 1:
             terms = tuple(term for term in terms if len(term) == 1)
             notes.append("Interactions cannot be estimated: there are too few runs.")
-        blocks = self._blocks
+        blocks, responses = self._blocks, responses_of(self.data)
         if known.period:
             before = self._carried_over(blocks)
+            if before is None and known.carry_over and self.within != _BLOCKS:
+                return NotComputed("the test", "means of units do not tell what is carried over, and runs may.")
             if before is None:
                 notes.append(
                     "What is carried over from the treatment before cannot be told apart from subjects or periods: the "
                     "test takes it to be washed out."
                 )
             else:
-                notes.append(self._carry_over_in_words(before, blocks, terms))
+                notes.append(self._carry_over_in_words(before, blocks, terms, responses))
                 blocks = np.column_stack([blocks, before]) if known.carry_over else blocks
         if len(self.data.frame) < len(self.data.every.dropna(subset=[VALUE])) and known.columns:
-            notes.append("Runs of one combination in the same blocks are reduced to their mean.")
+            notes.append(f"Runs of one combination in the same {self.within} are reduced to their mean.")
         told = (TestMethod.CROSSOVER if known.period else self._method, self._reason, tuple(notes))
-        return fit_strata(self.factors, self._hypotheses(terms), self.values, blocks, None, told)
+        found = fit_strata(self.factors, self._hypotheses(terms), self.values, blocks, None, told, responses)
+        return self._compared(found, _ONE_VARIANCE, "Each effect is compared")
+
+    def _compared(
+        self, found: StrataModel | NotComputed | None, runs: str, responses: str
+    ) -> StrataModel | NotComputed | None:
+        """Return a model whose reason says what effects within units are compared with.
+
+        Args:
+            found: the model.
+            runs: the end of the reason, where it is the variation of runs.
+            responses: the beginning of that end, where it is how units vary in their response to each effect.
+        """
+        if not isinstance(found, StrataModel):
+            return found
+        if found.has_responses or self.within != _BLOCKS:
+            runs = f"{responses} with how it differs from one {enumerated(self.data.known.unit_columns)} to the next."
+            if any(each.contrasts > 1 for each in found.fits[-1].responses):
+                runs += " Degrees of freedom are those of Huynh and Feldt, or for few of Geisser and Greenhouse."
+        return replace(found, reason=f"{found.reason} {runs}")
 
     @property
     def _method(self) -> TestMethod:
@@ -197,34 +282,38 @@ class _Fitting:
         if known.period:
             carried = ["the treatment before"] if known.carry_over else []
             others = enumerated([known.subject, known.period, *carried, *self.data.covariates])
-            return f"Each subject has several treatments: means are compared, adjusted for {others}. {_ONE_VARIANCE}"
+            return f"Each subject has several treatments: means are compared, adjusted for {others}."
         if known.columns:
             others = enumerated([*known.blocks, *self.data.covariates])
-            return f"Means are compared, adjusted for {others}. {_ONE_VARIANCE}"
+            return f"Means are compared, adjusted for {others}."
         single = self.data.frame.groupby(list(self.factors), observed=True).size().min() == 1
         effects = "Some combinations have a single run: main effects" if single else "Main effects"
-        return f"{effects} and what else the combinations tell are compared{adjusted}. {_ONE_VARIANCE}"
+        return f"{effects} and what else the combinations tell are compared{adjusted}."
 
     # Crossover.
 
     def _carried_over(self, blocks: Floats) -> Floats | None:
         """Return the columns of carry-over; None if it is not estimable."""
         main = [each.columns for each in self._hypotheses(tuple((name,) for name in self.factors)).values()]
-        return carried_over(self.data.frame, self.factors, np.column_stack([np.ones(len(blocks)), blocks, *main]))
+        beside = np.column_stack([np.ones(len(blocks)), blocks, *main])
+        return carried_over(self.runs.frame, self.factors, beside, self._mean_of)
 
-    def _carry_over_in_words(self, before: Floats, blocks: Floats, terms: tuple[Term, ...]) -> str:
+    def _carry_over_in_words(
+        self, before: Floats, blocks: Floats, terms: tuple[Term, ...], responses: Sequence[Floats]
+    ) -> str:
         """Return a sentence with the test of the carry-over; nothing is chosen by it."""
         known, values = self.data.known, np.atleast_2d(self.values)[0]
         count = before.shape[1]
         treatments = np.column_stack([each.columns for each in self._hypotheses(terms).values()])
         spread: dict[Term, Hypothesis] = {("before",): Hypothesis(before, np.eye(count))}
         told: tuple[TestMethod, str, tuple[str, ...]] = (TestMethod.CROSSOVER, "", ())
-        found = fit_strata(self.factors, spread, values, np.column_stack([blocks, treatments]), None, told)
+        beside = np.column_stack([blocks, treatments])
+        found = fit_strata(self.factors, spread, values, beside, None, told, responses)
         what = "it is in the model" if known.carry_over else "a washout was planned, and it is not in the model"
         if not isinstance(found, StrataModel):
             return f"What is carried over from the treatment before could not be tested; {what}."
         (effect,) = found.effects()
-        figures = f"{shown_test('F', (count, effect.freedom[1]), float(effect.statistic))}, "
+        figures = f"{shown_test('F', tuple(map(float, effect.freedom)), float(effect.statistic))}, "
         figures += p_in_words(float(effect.p_value))
         return f"Carried over from the treatment before: {figures}; {what}, whatever this says."
 
@@ -236,15 +325,17 @@ class _Fitting:
         terms = self._terms
         reason = (
             f"Some factors change from one {self.data.known.whole_plot} to the next only: they are compared with how "
-            "these vary, and the others with how runs vary within them. One variance serves each stratum."
+            "these vary."
         )
         told: tuple[TestMethod, str, tuple[str, ...]] = (TestMethod.SPLIT_PLOT, reason, ())
-        found = fit_strata(self.factors, self._hypotheses(terms), self.values, self._blocks, plots, told)
+        responses = responses_of(self.data)
+        found = fit_strata(self.factors, self._hypotheses(terms), self.values, self._blocks, plots, told, responses)
         if isinstance(found, NotComputed):
             main = tuple(term for term in terms if len(term) == 1)
             told = (TestMethod.SPLIT_PLOT, reason, ("Interactions cannot be estimated: there are too few runs.",))
-            found = fit_strata(self.factors, self._hypotheses(main), self.values, self._blocks, plots, told)
-        return found
+            found = fit_strata(self.factors, self._hypotheses(main), self.values, self._blocks, plots, told, responses)
+        runs = "The others are compared with how runs vary within them. One variance serves each stratum."
+        return self._compared(found, runs, "Each other effect is compared")
 
     # Response surface.
 
@@ -261,20 +352,3 @@ class _Fitting:
 _NO_VARIATION = NoVariation(
     "the test", "within each combination all values are equal, so that there is no variation to test against."
 )
-
-
-def note_on_responses(data: MeasureData) -> Iterator[str]:
-    """Yield a note that blocks are taken to respond alike, where two factors and more vary within them.
-
-    A single variance then serves effects to which blocks may respond differently. By simulation of crossovers, squares
-    and split plots with two factors within 4 to 24 units.
-    """
-    units = pd.Series(data.unit_names, index=data.frame.index)
-    within = [name for name in data.factors if data.frame[name].astype(str).groupby(units).nunique().max() > 1]
-    if (data.known.columns or data.is_blocked) and len(within) > 1:
-        names = enumerated(data.known.unit_columns or [data.block or "block"])
-        yield (
-            f"Each {names} is taken to respond alike to {enumerated(within)}, as one variance serves their effects. "
-            "Where each responds differently to one factor, by as much as runs vary, its effect is found by chance in "
-            "14 % instead of 5 %, where by twice as much in 20 %, and other effects are hardly found."
-        )

@@ -133,7 +133,7 @@ class Drift:
         slope: Theil-Sen slope, in the measure's unit per run.
         is_significant: whether the drift is significant at alpha.
         is_confounded: whether treatments are unevenly spread over the order, so that drift may look like an effect.
-        warning: a sentence for readers; empty without a significant drift.
+        warning: a sentence for readers; without a significant drift, on runs in a row that are alike; or empty.
         within: the names of the blocks, or `treatments`, within which places are compared; empty for one treatment.
     """
 

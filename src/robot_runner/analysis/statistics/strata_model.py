@@ -3,8 +3,9 @@
 Blocks (rows, columns, periods, subjects) have fixed effects that are adjusted for. If some factors change only between
 whole plots, their effects are compared with the variation of whole plots, and the others with that of runs within whole
 plots: the strata of Nelder (The analysis of randomized experiments with orthogonal block structure, Proceedings of the
-Royal Society A 283, 1965), as in R's `aov(... + Error(plot))`. Each stratum has one variance. Values may have leading
-axes, one entry for each experiment.
+Royal Society A 283, 1965), as in R's `aov(... + Error(plot))`. Each stratum has one variance, unless its units
+(subjects, whole plots) tell how they respond to each factor: then each effect is compared with how units vary in it, as
+in R's `aov(... + Error(unit / (A * B)))`. Values may have leading axes, one entry for each experiment.
 """
 
 from __future__ import annotations
@@ -16,12 +17,12 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from scipy import stats
 
 from robot_runner.analysis.arrays import Floats, Numbers
 from robot_runner.analysis.statistics.cell_moments import NOT_AVERAGED, AveragedOut, SpreadPart
 from robot_runner.analysis.statistics.contrasts import Contrast, rounding_of
 from robot_runner.analysis.statistics.effect_coding import Factors, Term
+from robot_runner.analysis.statistics.stratum_fit import StratumFit, added, fit_stratum
 from robot_runner.analysis.statistics.tested import EffectTest, NotComputed, NoVariation, TestMethod
 
 #: The rest of a column below this share of it is rounding.
@@ -43,66 +44,6 @@ class Hypothesis(NamedTuple):
     spread: Floats
 
 
-class StratumFit(NamedTuple):
-    """A model fitted by least squares in one stratum.
-
-    Attributes:
-        beta: the coefficients, (..., columns).
-        inverse: of the cross products of the columns, adjusted for blocks.
-        mean_square: of the residuals, (...).
-        freedom: its degrees of freedom.
-        residuals: (..., runs).
-    """
-
-    beta: Floats
-    inverse: Floats
-    mean_square: Floats
-    freedom: float
-    residuals: Floats
-
-    def wald(self, place: slice | Sequence[int]) -> tuple[Floats, Floats]:
-        """Return the F statistic that some coefficients are zero, and its p-value; NaN without error freedom."""
-        beta = self.beta[..., place]
-        middle = np.linalg.inv(self.inverse[place][:, place])
-        squares = np.einsum("...a,ab,...b->...", beta, middle, beta)
-        count = beta.shape[-1]
-        if self.freedom < 1:
-            return np.full_like(squares, math.nan), np.full_like(squares, math.nan)
-        f_value = np.asarray(squares / count / self.mean_square)
-        return f_value, np.asarray(stats.f.sf(f_value, count, self.freedom))
-
-
-def fit_stratum(columns: Floats, blocks: Floats, values: Floats, rank: int) -> StratumFit | None:
-    """Fit columns adjusted for blocks; None if the columns are collinear.
-
-    Args:
-        columns: (runs, columns), projected on the stratum.
-        blocks: the nuisance columns, including the constant, projected as well; of any rank.
-        values: (..., runs), projected as well.
-        rank: the dimensions of the stratum.
-    """
-    basis = _basis(blocks)
-    left = columns - basis @ (basis.T @ columns)
-    rest = values - (values @ basis) @ basis.T
-    crossed = left.T @ left
-    if left.shape[1] and np.linalg.matrix_rank(left, tol=_ROUNDING * len(left)) < left.shape[1]:
-        return None
-    inverse = np.asarray(np.linalg.inv(crossed), dtype=np.float64) if left.shape[1] else crossed
-    beta = rest @ left @ inverse
-    residuals = rest - beta @ left.T
-    freedom = float(rank - basis.shape[1] - left.shape[1])
-    square = np.sum(residuals**2, axis=-1) / freedom if freedom >= 1 else np.full(values.shape[:-1], math.nan)
-    return StratumFit(beta, inverse, np.asarray(square), freedom, residuals)
-
-
-def _basis(columns: Floats) -> Floats:
-    """Return an orthonormal basis of the columns."""
-    if not columns.size:
-        return np.empty((len(columns), 0))
-    vectors, sizes, _ = np.linalg.svd(columns, full_matrices=False)
-    return np.asarray(vectors[:, sizes > _ROUNDING * max(float(sizes[0]), 1e-300)], dtype=np.float64)
-
-
 @dataclass(frozen=True, eq=False)
 class StrataModel:
     """A fitted model, and the tests of its effects.
@@ -117,6 +58,9 @@ class StrataModel:
         reason: a sentence on why this model is used.
         notes: further notes for readers.
         averaged_out: the part of the variance of a run that is averaged out if the values are means of runs.
+        left_out: the runs of units that lack a combination, by their index.
+        is_of_units: whether effects within units are compared with how units respond to them, by the mean of each
+            combination in each unit.
     """
 
     factors: Factors
@@ -128,6 +72,8 @@ class StrataModel:
     reason: str
     notes: tuple[str, ...] = ()
     averaged_out: AveragedOut = NOT_AVERAGED
+    left_out: tuple[int, ...] = ()
+    is_of_units: bool = False
 
     @property
     def terms(self) -> tuple[Term, ...]:
@@ -137,31 +83,33 @@ class StrataModel:
     @property
     def spread(self) -> Floats:
         """The standard deviation of a run: between and within whole plots together."""
-        within = self.fits[-1].mean_square
-        if len(self.fits) == 1:
-            return np.asarray(np.sqrt(within + self.averaged_out.variance))
-        between = self.fits[0].mean_square
-        share = np.where(np.isfinite(between), between + (self.plot_size - 1) * within, self.plot_size * within)
-        return np.asarray(np.sqrt(share / self.plot_size + self.averaged_out.variance))
+        return np.asarray(np.sqrt(sum(each for each, _ in self._components) + self.averaged_out.variance))
 
     @property
     def spread_parts(self) -> tuple[SpreadPart, ...]:
         """The components of the variance `spread` squared."""
-        within = SpreadPart(float(self.fits[-1].mean_square), self.fits[-1].freedom)
-        between = SpreadPart(float(self.fits[0].mean_square) / self.plot_size, self.fits[0].freedom)
-        if len(self.fits) == 1 or not math.isfinite(between.variance):
-            return self.averaged_out.beside(within)
-        left = within._replace(variance=within.variance * (1 - 1 / self.plot_size))
-        return self.averaged_out.beside(between, left)
+        return self.averaged_out.beside(*(SpreadPart(float(each), freedom) for each, freedom in self._components))
+
+    @property
+    def _components(self) -> list[tuple[Floats, float]]:
+        within, (first, *_) = list(self.fits[-1].components), self.fits
+        if len(self.fits) == 1 or first.freedom < 1:
+            return within
+        share = 1 - 1 / self.plot_size
+        return [(first.mean_square / self.plot_size, first.freedom), *((share * of, freedom) for of, freedom in within)]
+
+    @property
+    def has_responses(self) -> bool:
+        """Whether each effect within units is compared with how these vary in it."""
+        return bool(self.fits[-1].responses)
 
     def effects(self) -> Iterator[EffectTest]:
         """Yield the test of each effect."""
         for term, hypothesis in self.hypotheses.items():
             fit, place = self.fits[self.stratum_of[term]], self._places[term]
-            f_value, p_value = fit.wald(place)
+            f_value, freedom, p_value = fit.wald(place)
             beta = fit.beta[..., place]
             variance = np.einsum("...a,ab,...b->...", beta, hypothesis.spread, beta)
-            freedom = (float(beta.shape[-1]), fit.freedom)
             yield EffectTest(term, self.method.value, "F", f_value, freedom, p_value, variance)
 
     def difference(self, weights: Sequence[tuple[Mapping[str, str], float]]) -> Contrast:
@@ -173,8 +121,7 @@ class StrataModel:
         rows = [weight * self.factors.row(self.terms, treatments)[1:] for treatments, weight in weights]
         row = np.sum(rows, axis=0)
         estimate: Floats = np.zeros(self.fits[0].beta.shape[:-1])
-        parts: list[Floats] = []
-        freedoms: list[float] = []
+        parts: list[tuple[Floats, Floats]] = []
         start = 0
         own = {number: np.zeros(fit.beta.shape[-1]) for number, fit in enumerate(self.fits)}
         for term, hypothesis in self.hypotheses.items():
@@ -183,16 +130,12 @@ class StrataModel:
             start += count
         for number, mine in own.items():
             if np.any(mine):
-                fit = self.fits[number]
-                estimate = estimate + fit.beta @ mine
-                parts.append(fit.mean_square * float(mine @ fit.inverse @ mine))
-                freedoms.append(fit.freedom)
+                estimate = estimate + self.fits[number].beta @ mine
+                parts += self.fits[number].error(mine)
         if not parts:
             return Contrast(*map(np.asarray, (0.0, math.nan, math.nan)))
-        variance = sum(parts[1:], parts[0])
-        told = sum(part**2 / max(freedom, 1.0) for part, freedom in zip(parts, freedoms, strict=True))
-        freedom = np.full_like(variance, freedoms[0]) if len(parts) == 1 else variance**2 / told  # Satterthwaite 1946
-        return Contrast(np.asarray(estimate), np.sqrt(variance), np.asarray(freedom))
+        variance, freedom = added(parts)
+        return Contrast(np.asarray(estimate), np.sqrt(variance), freedom)
 
     @cached_property
     def _places(self) -> dict[Term, slice]:
@@ -212,6 +155,7 @@ def fit_strata(
     blocks: Floats,
     plots: Numbers | None,
     told: tuple[TestMethod, str, tuple[str, ...]],
+    responses: Sequence[Floats] = (),
 ) -> StrataModel | NotComputed | None:
     """Fit the model.
 
@@ -222,6 +166,7 @@ def fit_strata(
         blocks: the nuisance columns, without the constant.
         plots: the whole plot of each run, from 0; None without whole plots.
         told: `method`, `reason` and `notes` of the model.
+        responses: as for `fit_stratum`, of the stratum within whole plots.
 
     Returns:
         None if whole plots are unequal, so that some effects are in no single stratum.
@@ -240,13 +185,18 @@ def fit_strata(
     for number, (project, rank) in enumerate(strata):
         mine = [each.columns for term, each in hypotheses.items() if stratum_of[term] == number]
         columns = project(np.column_stack(mine)) if mine else np.empty((values.shape[-1], 0))
-        fit = fit_stratum(columns, project(blocks), project(values.T).T, rank)
+        own = responses if number == len(strata) - 1 else ()
+        fit = fit_stratum(columns, project(blocks), project(values.T).T, rank, own)
         if fit is None:
             why = "the factors go together so closely with each other or with blocks that effects cannot be told apart."
             return NotComputed("the test", why)
         # A mean square that is rounding is not an estimate of error: with 0, nothing is tested in the stratum.
-        is_rounding = np.sqrt(fit.mean_square) <= rounding_of(values)
-        fits.append(fit._replace(mean_square=np.where(is_rounding, 0.0, fit.mean_square)))
+        least = rounding_of(values)
+        known = [
+            each._replace(covariance=_beyond(each.covariance, each.mean_square[..., None, None], least))
+            for each in fit.responses
+        ]
+        fits.append(fit._replace(mean_square=_beyond(fit.mean_square, fit.mean_square, least), responses=tuple(known)))
     if fits[-1].freedom < 1:
         return NotComputed(
             "the test",
@@ -258,6 +208,11 @@ def fit_strata(
         )
     size = 1 if plots is None else len(plots) // (int(plots.max()) + 1)
     return StrataModel(factors, hypotheses, stratum_of, tuple(fits), size, *told)
+
+
+def _beyond(variances: Floats, mean_square: Floats, least: float) -> Floats:
+    """Return variances, with 0 for those whose mean square is rounding."""
+    return np.where(np.sqrt(mean_square) <= least, 0.0, variances)
 
 
 def _strata(plots: Numbers | None, runs: int) -> list[tuple[_Projection, int]] | None:

@@ -21,7 +21,7 @@ from scipy import stats
 from robot_runner.analysis.arrays import Floats, Numbers
 from robot_runner.analysis.statistics.cell_moments import SpreadPart
 from robot_runner.analysis.statistics.contrasts import Contrast, rounding_of
-from robot_runner.analysis.statistics.strata_model import StratumFit, fit_stratum
+from robot_runner.analysis.statistics.stratum_fit import StratumFit, fit_stratum
 from robot_runner.analysis.statistics.tested import EffectTest, Interval, NotComputed, TestMethod
 
 if TYPE_CHECKING:
@@ -169,10 +169,9 @@ class SurfaceModel:
     def effects(self) -> Iterator[EffectTest]:
         """Yield the test of each factor, by all its terms, then of each interaction."""
         for term, places in self._hypotheses():
-            f_value, p_value = self.fit.wald(places)
+            f_value, freedom, p_value = self.fit.wald(places)
             mine = self.columns[:, places] - self.columns[:, places].mean(axis=0)
             told = self.fit.beta[..., places] @ mine.T
-            freedom = (float(len(places)), self.fit.freedom)
             variance = np.mean(told**2, axis=-1)
             yield EffectTest(term, TestMethod.SURFACE.value, "F", f_value, freedom, p_value, variance)
 

@@ -22,7 +22,7 @@ from robot_runner.analysis.statistics.cell_layout import (
 from robot_runner.analysis.statistics.cell_means import BOOTSTRAP, SIGN_FLIPS, CellMeans
 from robot_runner.analysis.statistics.descriptive import quiet
 from robot_runner.analysis.statistics.designed_columns import taken_beside_plots
-from robot_runner.analysis.statistics.designed_models import designed_model_of, note_on_responses
+from robot_runner.analysis.statistics.designed_models import designed_model_of
 from robot_runner.analysis.statistics.effect_sizes import f_of_p_value, omega_squared
 from robot_runner.analysis.statistics.lenth_test import LenthModel
 from robot_runner.analysis.statistics.linear_model import FittedModel, fit_model
@@ -38,6 +38,7 @@ from robot_runner.analysis.statistics.tested import (
     TestMethod,
     TestPart,
 )
+from robot_runner.analysis.statistics.unit_responses import note_on_responses
 from robot_runner.analysis.wording import listed
 from robot_runner.core.design.analysis_plan import Correction, Estimand, Statistic
 from robot_runner.core.design.columns import RUN_ID
@@ -351,14 +352,14 @@ def _notes(data: MeasureData, model: AnyModel) -> Iterator[str]:
     """Yield further notes for readers."""
     if isinstance(model, StrataModel | LenthModel | SurfaceModel):
         yield from model.notes
-        yield from (*data.known.notes, *note_on_responses(data))
+        yield from (*data.known.notes, *note_on_responses(data, model))
     elif not data.known.is_plain and isinstance(model, CellMeans):
         yield from data.known.notes
     elif isinstance(model, AdjustedMeans):
         yield from filter(None, (model.note,))
     elif isinstance(model, FittedModel):
         yield from filter(None, (model.note, _CONTAINMENT if model.blocks is not None else ""))
-        yield from note_on_responses(data)
+        yield from note_on_responses(data, model)
     else:
         layout = model.layout
         if layout.inverse is not None:

@@ -15,6 +15,20 @@
     return digits.replace(/^-/, "−") + (unit && unit !== "1" ? " " + unit : "");
   }
 
+  // The marks of an axis, as exact as their step: uPlot's own have three decimals, in the language of the browser, where
+  // 1.200 may be 1200.
+  function marks(plot, values, axis, space, step) {
+    const power = Math.floor(Math.log10(step)), steps = step / 10 ** power;
+    const decimals = (Math.abs(steps - Math.round(steps)) > 1e-6 ? 1 : 0) - power;
+    const size = Math.max(...values.map(Math.abs)), places = Math.min(20, Math.max(0, decimals));
+    const plain = new Intl.NumberFormat("en", { minimumFractionDigits: places, maximumFractionDigits: places });
+    return values.map(function (value) {
+      if (value === 0 || (size >= 1e-4 && size < 1e16)) { return plain.format(value || 0).replace(/^-/, "−"); }
+      const digits = decimals + Math.floor(Math.log10(Math.abs(value)));
+      return value.toExponential(Math.min(20, Math.max(0, digits))).replace(/([+-])(\d)$/, "$10$2").replace(/^-/, "−");
+    });
+  }
+
   function faded(colour, share) {
     return colour + Math.round(share * 255).toString(16).padStart(2, "0");
   }
@@ -34,7 +48,7 @@
   const WHOLE = [1, 2, 5].concat(...[1, 2, 3, 4, 5, 6].map((zeros) => [1, 2, 5].map((step) => step * 10 ** zeros)));
 
   function axes(xLabel, yLabel, steps) {
-    const common = { stroke: INK, font: FONT, labelFont: FONT, ticks: { stroke: LINE, size: 4 }, labelSize: 22 };
+    const common = { values: marks, stroke: INK, font: FONT, labelFont: FONT, ticks: { stroke: LINE, size: 4 }, labelSize: 22 };
     return [
       Object.assign({ label: xLabel, size: 34, grid: { show: false } }, steps ? { incrs: steps } : {}, common),
       Object.assign({ label: yLabel, size: roomForMarks, grid: { stroke: LINE, width: 1 } }, common),
