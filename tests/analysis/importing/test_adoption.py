@@ -356,6 +356,24 @@ def test_the_repetition_can_be_the_block(tmp_path):
     assert load_results(tmp_path / "ours").block == "Repetition"
 
 
+@pytest.mark.long
+def test_repetitions_that_run_ids_count_can_be_the_blocks(tmp_path):
+    rows = "".join(f"run_{at}_repetition_{n},DONE,{'ab'[at]},{10 * at + n * n}.5\n" for n in range(4) for at in (0, 1))
+    write(tmp_path / "r" / "run_table.csv", f"__run_id,__done,task,e\n{rows}")
+    understood = understand(tmp_path / "r", ImportDescription(block="Repetition"))
+    assert understood.design_words == "2 (task), 4 runs a combination, in 4 blocks (Repetition): 8 runs"
+    adopt(understood, tmp_path / "ours")
+    adopt(understand(tmp_path / "r", understood.description), tmp_path / "again")
+    for name in ("ours", "again"):
+        assert analyse(load_results(tmp_path / name)).design.block == "Repetition"
+
+
+def test_repetitions_that_nothing_counts_cannot_be_the_blocks(tmp_path):
+    write(tmp_path / "r" / "run_table.csv", "task,e\na,1\nb,2\na,3\nb,4\n")
+    with pytest.raises(AnalysisError, match="there is no column 'Repetition'"):
+        understand(tmp_path / "r", ImportDescription(block="Repetition"))
+
+
 def _metered(root, *traces):
     write(root / "run_table.csv", "run_id,energy_J\n" + "".join(f"r{place},10.0\n" for place in range(len(traces))))
     for place, trace in enumerate(traces):

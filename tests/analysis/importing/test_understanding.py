@@ -307,6 +307,33 @@ def test_nines_among_numbers_like_them_are_numbers(tmp_path, cells):
     assert not any("missing value" in note for note in table_only(tmp_path, f"__run_id,__done,task,e\n{rows}").notes)
 
 
+@pytest.mark.parametrize(
+    ("heading", "cells", "told"),
+    [
+        ("total_energy", "28841.5 -224720.9 28949.7 29024.4", True),
+        ("cpu (J)", "841.5 -64711.9 949.7 824.4", True),
+        ("memory_energy", "0.2 -0.3 0.1 0.2", False),
+        ("energy_saving", "28841.5 -224720.9 28949.7 29024.4", False),
+        ("energy_J", "-5.5 -4.25 -6.75 1.5", False),
+        ("energy_J", "-5.5 -4.25 -6.75 -1.5", False),
+        ("voltage_change", "28841.5 -224720.9 28949.7 29024.4", False),
+    ],
+)
+def test_energies_that_are_far_below_zero_in_a_few_runs_are_noted(tmp_path, heading, cells, told):
+    rows = "".join(f"run_{place},DONE,{'ab'[place % 2]},{cell}\n" for place, cell in enumerate(cells.split()))
+    found = table_only(tmp_path, f"__run_id,__done,task,{heading}\n{rows}")
+    note = f"{heading} is negative in 1 run, such as run_1: a counter that wrapped around, or was reset?"
+    assert (f"{note} Then leave these cells empty" in found.notes) is told
+    assert told or not any("negative" in each for each in found.notes)
+
+
+def test_a_table_that_blanks_alone_separate_is_no_run_table(tmp_path):
+    with pytest.raises(AnalysisError, match="the table has one column, of text") as raised:
+        table_only(tmp_path, "  Time    User   Sys  Watts\n10:22:21   3.1   8.2   7.5\n10:22:22   7.3   1.9   7.6\n")
+    fix = "Separate its cells by commas, semicolons or tabs, or name the table of the runs: --table FILE."
+    assert raised.value.fix == fix
+
+
 def test_what_a_spreadsheet_has_for_not_available_is_a_missing_number(tmp_path):
     rows = "run_0,DONE,a,1.5\nrun_1,DONE,a,#N/A\nrun_2,DONE,b,<NA>\nrun_3,DONE,b,3.5\n"
     found = table_only(tmp_path, f"__run_id,__done,task,energy_J\n{rows}")
@@ -577,3 +604,63 @@ def test_a_column_that_is_said_and_is_not_there_is_refused_with_the_nearest_name
 def test_numbers_that_are_written_plainly_are_said_to_be_written_in_no_other_way(tmp_path):
     found = table_only(tmp_path, "task,energy_J\na,1.5\nb,1e400\n")
     assert not any("thousands" in note for note in found.notes)
+
+
+def numbered_logs(root, *runs):
+    """Make a folder with a run for each set of numbers, which stand in the names of its logs."""
+    rows = "".join(f"run_{run},{'ab'[run % 2]},1\n" for run in range(len(runs)))
+    write(root / "run_table.csv", f"__run_id,t,e\n{rows}")
+    for run, numbers in enumerate(runs):
+        for number in numbers:
+            write(root / f"run_{run}" / f"energy-{number}.csv", "time,power (W)\n0,5\n1,5\n")
+    return understand(root, NOTHING)
+
+
+def test_logs_with_numbers_in_their_names_go_together_though_a_run_has_two_of_an_attempt_before(tmp_path):
+    found = numbered_logs(tmp_path / "r", [1121], [1207, 1268], [1330], [1121], [1415], [1487], [1503], [1567])
+    (samples,) = found.samples
+    assert (samples.file, sorted(samples.paths)) == ("energy-*.csv", [f"run_{run}" for run in (0, 2, 3, 4, 5, 6, 7)])
+    told = "energy-*.csv is left as it is in 1 of 8 runs, such as run_1, which has 2 of them"
+    assert f"{told}: keep the one that belongs to the run" in found.notes
+
+
+@pytest.mark.parametrize("runs", [([1, 2], [1], [1]), ([1, 2], [1, 2], [1]), ([30], [60], [30], [60])])
+def test_logs_whose_numbers_are_the_same_in_many_runs_do_not_go_together(tmp_path, runs):
+    found = numbered_logs(tmp_path / "r", *runs)
+    assert [each.file for each in found.samples] == [f"energy-{number}.csv" for number in sorted(set().union(*runs))]
+
+
+def test_repetitions_that_are_counted_twice_in_a_combination_are_noted(tmp_path):
+    rows = "".join(
+        f"{task},{repetition},{energy}\n"
+        for energy, task, repetition in (
+            (5.5, "a", 1),
+            (5.25, "a", 2),
+            (7.5, "a", 1),
+            (7.25, "a", 2),
+            (3.5, "b", 1),
+            (3.25, "b", 2),
+        )
+    )
+    found = table_only(tmp_path, f"task,repetition,energy\n{rows}")
+    told = "2 repetitions are there more than once, such as repetition 1 of task a"
+    assert f"{told}: is a factor missing, or was a series repeated?" in found.notes
+
+
+def test_runs_to_do_that_have_raw_files_are_noted(tmp_path):
+    for run in range(2):
+        write(tmp_path / "results" / f"run_{run}" / "power.csv", "time_s,power (W)\n0,5\n1,5\n")
+    (tmp_path / "results" / "run_2").mkdir()
+    found = table_only(tmp_path, "__run_id,__done,task,e\nrun_0,TODO,a,\nrun_1,TODO,b,\nrun_2,TODO,a,\nrun_3,TODO,b,\n")
+    told = "2 runs to do have raw files, such as run_0: if they were executed, say --ignore __done"
+    assert told in found.notes
+
+
+def test_a_folder_with_a_log_of_each_run_and_no_table_says_what_to_do(tmp_path):
+    for number in range(3):
+        write(tmp_path / f"energy_{number:02}.csv", f"timestamp,power_W\n10:22:2{number},{number}.5\n")
+    with pytest.raises(
+        StorageError, match=r"which of energy_00.csv, energy_01.csv, energy_02.csv is the run"
+    ) as raised:
+        understand(tmp_path, NOTHING)
+    assert "If each is the log of a run, write a table of the runs" in raised.value.fix

@@ -145,9 +145,7 @@ def _manifest(understanding: Understanding, runs: Sequence[AdoptedRun], warnings
             "source": understanding.table.path.name,
             "factors": {headings[name]: list(understanding.treatments(name)) for name in roles.design},
             "repetitions": max((run.repetition or 1 for run in understanding.runs), default=1),
-            "blocks": REPETITION
-            if roles.block and roles.block == roles.repetition
-            else headings.get(roles.block or ""),
+            "blocks": REPETITION if roles.blocks_are_repetitions else headings.get(roles.block or ""),
             **understanding.design_facts,
         },
         "plugins": [

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import pyarrow as pa
 from pyarrow import csv as arrow_csv
 
@@ -119,7 +120,18 @@ def _adopted(understanding: Understanding, folder: Path, run: ForeignRun) -> Ado
 def _span(samples: ForeignSamples, run: RunSamples) -> TraceSpan:
     first, last = (int(run.nanoseconds[0]), int(run.nanoseconds[-1])) if len(run.nanoseconds) else (0, 0)
     is_moment = samples.time_kind is TimeKind.MOMENT
-    return TraceSpan(samples.file, first, last, is_moment, len(run.nanoseconds), run.left_out, run.without_number)
+    return TraceSpan(
+        samples.file,
+        first,
+        last,
+        is_moment,
+        count=len(run.nanoseconds),
+        left_out=run.left_out,
+        without_number=run.without_number,
+        moments=len(np.unique(run.nanoseconds)),
+        restarted=run.restarted,
+        impossible=run.impossible,
+    )
 
 
 def _zeros(samples: Sequence[tuple[ForeignSamples, RunSamples]]) -> list[int]:

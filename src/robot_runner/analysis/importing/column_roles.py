@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 from robot_runner.analysis.importing.column_evidence import IN_RUN_ID, Confidence, Role, RoleGuess, repetition_number
 from robot_runner.analysis.importing.column_verdicts import ColumnVerdicts
+from robot_runner.core.design.columns import REPETITION
 from robot_runner.core.errors import AnalysisError, did_you_mean
 
 if TYPE_CHECKING:
@@ -49,7 +50,7 @@ class ColumnRoles:
         status: None where a run counts as done if it has any measure.
         repetition: a column, or None.
         repetition_in_run_id: whether run ids end in `_repetition_0` and the like.
-        block: the column of the blocks, or None; the repetition may be one.
+        block: the column of the blocks, or None; the repetition may be one, `Repetition` if run ids count it.
         factors, measures: columns in the order of the table.
         extras: columns that are kept unchanged.
         of_design: the columns of a design that the user declared: robots, periods, whole plots.
@@ -72,9 +73,14 @@ class ColumnRoles:
     @property
     def design(self) -> tuple[str, ...]:
         """The columns of the design: factors, block, and the columns of a declared design."""
-        has_block = self.block is not None and self.block != self.repetition
-        blocks = (*([self.block] if has_block and self.block else []), *self.of_design)
-        return tuple(dict.fromkeys((*self.factors, *blocks)))
+        blocks = [self.block] if self.block and not self.blocks_are_repetitions else []
+        return tuple(dict.fromkeys((*self.factors, *blocks, *self.of_design)))
+
+    @property
+    def blocks_are_repetitions(self) -> bool:
+        """Whether runs are compared within repetitions, which a column or the run ids count."""
+        counted = self.repetition or (REPETITION if self.repetition_in_run_id else None)
+        return self.block is not None and self.block == counted
 
     def repetition_of(self, run_id: str) -> int | None:
         """Return the number in a run id such as `run_3_repetition_1`."""
@@ -104,7 +110,7 @@ def _check(table: ForeignTable, said: ImportDescription) -> None:
     computed = {recipe.measure for recipe in said.recipes}  # the table may lack these
     measures = {*(said.measures or ()), *said.units} - computed
     for name in filter(None, (*single, *(said.factors or ()), *measures, *said.ignore, *designed, *of_factors)):
-        if name not in table.headings:
+        if name not in table.headings and (name, said.block) != (REPETITION, REPETITION):  # run ids may count these
             fix = did_you_mean(name, table.headings)
             raise AnalysisError(f"there is no column {name!r}", where=table.path.name, fix=fix)
     roles: dict[str, Sequence[str | None]] = {
@@ -147,7 +153,7 @@ class _Guessing:
             self._notes.append(f"no column agrees with {combinations}: these are not used")
         self._evidence.read_status(status)
         repetition = self._repetition()
-        if said.block is not None and said.block != repetition:
+        if said.block is not None and said.block != repetition and said.block in self._table.headings:
             self._take(said.block, Role.BLOCK, Confidence.SURE, "as you said")
         if said.guess or said.factors is None:
             self._guess_rest(repetition)
@@ -161,6 +167,9 @@ class _Guessing:
                 )
         block = said.block or (self._guessed_block() if said.design is None else None)
         in_run_id = repetition is None and self._evidence.repetition_in_run_id
+        if said.block is not None and said.block not in self._table.headings and not in_run_id:
+            fix = "Say which column counts the repetitions: --block COLUMN."
+            raise AnalysisError(f"there is no column {said.block!r}", where=self._table.path.name, fix=fix)
         named = {role: self._named(role) for role in Role}
         return ColumnRoles(
             run_id=run_id,

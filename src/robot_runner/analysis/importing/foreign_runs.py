@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shlex
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -224,10 +225,28 @@ def _run_notes(table: ForeignTable, roles: ColumnRoles, runs: Sequence[ForeignRu
             told = f"{name} is text in {counted(len(texts), 'run')}, such as {texts[0]}: no statistics of it"
             notes.append(f"{told}. Where a value is missing, leave the cell empty")
         notes += _nines(name, [run.measures[name] for run in runs])
+        unit = table.unit(name)
+        if _ENERGY.search(name) or (unit is not None and unit.si == "J"):
+            notes += _negative_energies(name, runs)
+    notes += _repeated_repetitions(runs)
+    raw = [run.run_id for run in runs if run.status is RunStatus.TODO and run.folder and any(run.folder.glob("*.csv"))]
+    if raw and roles.status:
+        told = f"{counted(len(raw), 'run')} to do {'has' if len(raw) == 1 else 'have'} raw files, such as {raw[0]}"
+        notes.append(f"{told}: if they were executed, say --ignore {shlex.quote(roles.status)}")
     without = [run.run_id for run in runs if run.status is RunStatus.DONE and run.folder is None]
     if any(run.folder for run in runs) and without:
         notes.append(f"{counted(len(without), 'run')} done without a folder of raw files, such as {without[0]}")
     return notes
+
+
+def _repeated_repetitions(runs: Sequence[ForeignRun]) -> Iterator[str]:
+    """Yield a note where runs of a combination have the same number: two treatments under one name, or two series."""
+    counts = Counter((tuple(run.treatments.items()), run.repetition) for run in runs if run.repetition is not None)
+    if again := [each for each, count in counts.items() if count > 1]:
+        combination, number = again[0]
+        which = f"repetition {number}{' of ' if combination else ''}{', '.join(map(' '.join, combination))}"
+        many = f"{counted(len(again), 'repetition')} {'is' if len(again) == 1 else 'are'} there more than once"
+        yield f"{many}, such as {which}: is a factor missing, or was a series repeated?"
 
 
 def _slips_of_the_pen(name: str, treatments: Iterable[str]) -> Iterator[str]:
@@ -266,6 +285,21 @@ def _nines(name: str, values: Sequence[object]) -> Iterator[str]:
         if is_far or (others and number < 0 <= min(others)):
             told = f"{name} is {number:.0f} in {counted(numbers[number], 'run')}, far from all others"
             yield f"{told}: a missing value? Then leave these cells empty"
+
+
+#: Noise about zero has not been seen to go so far beyond the largest value.
+_FAR_BELOW = 3
+_ENERGY = re.compile(r"energ(?!.*(?:sav|chang|diff|delta))|joule", re.IGNORECASE)
+
+
+def _negative_energies(name: str, runs: Sequence[ForeignRun]) -> Iterator[str]:
+    """Say in which few runs an energy is farther below zero than any other is above it, as where a counter wrapped."""
+    values = {run.run_id: value for run in runs if isinstance(value := run.measures[name], int | float)}
+    most = max(values.values(), default=0)
+    wrapped = [run_id for run_id, value in values.items() if 0 < most * _FAR_BELOW <= -value]
+    if wrapped and 2 * len(wrapped) < len(values):
+        told = f"{name} is negative in {counted(len(wrapped), 'run')}, such as {wrapped[0]}"
+        yield f"{told}: a counter that wrapped around, or was reset? Then leave these cells empty"
 
 
 _FOLDERS_SHOWN = 3

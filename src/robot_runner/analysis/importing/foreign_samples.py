@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -34,6 +35,8 @@ if TYPE_CHECKING:
 
 
 _NUMBER = re.compile(r"\d+")
+#: A name that more than one run in so many has is no process id that came up again by chance.
+_FEW = 4
 _MISSING = [" ", "NaN", *(written for word in MISSING for written in {word, word.upper(), word.capitalize()})]
 
 
@@ -87,6 +90,8 @@ class RunSamples:
         was_sorted: whether the file was in order already.
         left_out: the number of rows with more or fewer cells than the heading.
         without_number: the number of cells that are not numbers, in columns that are numeric in the first run.
+        restarted: the counters, in joules, that wrapped around or were reset between two samples.
+        impossible: the number of powers that are missing here, as they come of a counter that wrapped around.
     """
 
     nanoseconds: NDArray[np.int64]
@@ -94,6 +99,8 @@ class RunSamples:
     was_sorted: bool
     left_out: int = 0
     without_number: int = 0
+    restarted: tuple[str, ...] = ()
+    impossible: int = 0
 
     @property
     def times(self) -> Floats:
@@ -112,14 +119,14 @@ def understand_samples(
     Raises:
         AnalysisError: a description does not fit its file.
     """
-    by_file = _by_file(folders)
+    notes: list[str] = []
+    by_file = _by_file(folders, notes)
     by_name = {each.file: each for each in described}
     for file in by_name:
         if file not in by_file:
             fix = did_you_mean(file, by_file) or "Look at the folders of the runs."
             raise AnalysisError(f"no run has a file {file!r}", where="samples", fix=fix)
     found: list[ForeignSamples] = []
-    notes: list[str] = []
     for file, paths in sorted(by_file.items()):
         if file not in by_name and not guess:
             continue
@@ -139,11 +146,12 @@ def understand_samples(
     return found, notes
 
 
-def _by_file(folders: Mapping[str, Path]) -> dict[str, dict[str, Path]]:
+def _by_file(folders: Mapping[str, Path], notes: list[str]) -> dict[str, dict[str, Path]]:
     """Return the CSV files in the runs' folders, by name.
 
-    Names that occur in one run each and differ only in numbers (tools put process ids and times into names) are
-    combined into one name with `*` for the numbers, unless a run has two of them.
+    Names that occur in one run each, or in few, and differ only in numbers (tools put process ids and times into names)
+    are combined into one name with `*` for the numbers, unless about as many runs have two of them. Those that do are
+    noted: an attempt before has left one behind, and nothing tells which.
     """
     by_name: dict[str, dict[str, Path]] = {}
     for run_id, folder in folders.items():
@@ -151,13 +159,19 @@ def _by_file(folders: Mapping[str, Path]) -> dict[str, dict[str, Path]]:
             by_name.setdefault(path.name, {})[run_id] = path
     alike: dict[str, list[tuple[str, Path]]] = {}
     for name, paths in by_name.items():
-        if len(paths) == 1:
+        if len(paths) == 1 or _FEW * len(paths) <= len(folders):
             alike.setdefault(_NUMBER.sub("*", name), []).extend(paths.items())
     for pattern, found in alike.items():
-        if pattern not in by_name and 1 < len(found) == len(dict(found)):
-            for _, path in found:
-                del by_name[path.name]
-            by_name[pattern] = dict(found)
+        counts = Counter(run_id for run_id, _ in found)
+        several = [run_id for run_id in folders if counts[run_id] > 1]
+        if pattern not in by_name and len(found) > 1 and 2 * len(several) < len(counts):
+            for name in {path.name for _, path in found}:
+                del by_name[name]
+            by_name[pattern] = {run_id: path for run_id, path in found if counts[run_id] == 1}
+            if several:
+                words = f"{pattern} is left as it is in {len(several)} of {counted(len(counts), 'run')}"
+                which = f"such as {several[0]}, which has {counts[several[0]]} of them"
+                notes.append(f"{words}, {which}: keep the one that belongs to the run")
     return by_name
 
 
@@ -245,7 +259,40 @@ def read_run_samples(samples: ForeignSamples, path: Path) -> RunSamples:
             without_number += numbers.null_count - column.null_count
             table = table.set_column(place, name, numbers)
     values = {name: _values(table, name, samples.units.get(name), order) for name in samples.columns}
-    return RunSamples(times[order], values, was_sorted, len(left_out), without_number)
+    counters = (name for name, unit in samples.units.items() if unit is not None and unit.si == "J")
+    restarted = tuple(name for name in counters if _starts_again(values[name]))
+    impossible = 0
+    for name in filter(_POWER.search, samples.numeric.intersection(values)):
+        if (wrapped := _far_below_zero(values[name])).any():
+            values[name] = np.where(wrapped, np.nan, values[name])
+            impossible += int(np.count_nonzero(wrapped))
+    return RunSamples(times[order], values, was_sorted, len(left_out), without_number, restarted, impossible)
+
+
+_POWER = re.compile(r"power|watt", re.IGNORECASE)
+#: Powers come of a wrapped counter if no more than this share is so low, and others are not below zero by as much.
+_FEW_POWERS, _FAR_BELOW = 0.01, 3
+
+
+def _far_below_zero(powers: Floats) -> NDArray[np.bool_]:
+    """Return which powers are far below zero; none where more than a few are, as of a battery that discharges."""
+    most = np.max(powers, initial=0.0, where=np.isfinite(powers))
+    are_few = np.count_nonzero(powers < 0) <= _FEW_POWERS * len(powers)
+    return (powers < -_FAR_BELOW * most) & bool(most > 0 and are_few)
+
+
+#: A counter that falls at once by more than this share of its highest count has wrapped around, or was reset.
+_RESTART = 0.5
+
+
+def _starts_again(counts: Any) -> bool:
+    """Return whether counts, which rise more often than they fall, drop at once by more than half."""
+    if isinstance(counts, pa.ChunkedArray):  # words stand in its column in this run
+        return False
+    known = counts[np.isfinite(counts)]
+    steps = np.diff(known)
+    is_counter = np.count_nonzero(steps > 0) > np.count_nonzero(steps < 0)
+    return bool(is_counter and np.max(-steps) > np.max(np.abs(known)) * _RESTART)
 
 
 def _read(path: Path, types: Mapping[str, pa.DataType] | None = None, left_out: list[object] | None = None) -> pa.Table:

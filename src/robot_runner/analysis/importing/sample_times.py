@@ -173,6 +173,9 @@ _END = re.compile(r"(^|[_ ])(stop|stopped|end|ended|finish|finished)($|[_ ])", r
 
 #: A meter starts a little before the mission and stops a little after it: 5 % and a second are normal.
 _TOLERATED_SHARE, _TOLERATED_S = 0.05, 1.0
+_BRIDGED = "its change bridges that step, and is missing where the step is long"
+#: As few samples to a time may be chance; where so many times are known, one more or less is half a percent.
+_SAMPLES_TO_A_TIME, _MOST_MOMENTS = 3, 200
 
 
 @dataclass(frozen=True, slots=True)
@@ -186,6 +189,9 @@ class TraceSpan:
         count: the number of samples.
         left_out: the number of rows with more or fewer cells than the heading, such as in a file that was cut off.
         without_number: the number of cells in numeric columns that are not numbers.
+        moments: the number of different times.
+        restarted: the counters, in joules, that wrapped around or were reset.
+        impossible: the number of powers that are missing here, as they come of a counter that wrapped around.
     """
 
     file: str
@@ -195,11 +201,19 @@ class TraceSpan:
     count: int
     left_out: int
     without_number: int
+    moments: int
+    restarted: tuple[str, ...]
+    impossible: int
 
     @property
     def seconds(self) -> float:
         """The time from the first sample to the last."""
         return (self.last - self.first) / 1e9
+
+    @property
+    def is_coarse(self) -> bool:
+        """Whether several samples have the same time each, and times are far apart, such as whole seconds."""
+        return 1 < self.moments <= min(self.count / _SAMPLES_TO_A_TIME, _MOST_MOMENTS)
 
 
 def trace_warnings(
@@ -210,12 +224,14 @@ def trace_warnings(
     for run in runs:
         for span in spans.get(run.run_id, ()):
             of_file.setdefault(span.file, []).append((run, span))
-    return [warning for file, found in of_file.items() for warning in _of_file(file, found, units)]
+    return [
+        warning
+        for file, found in of_file.items()
+        for warning in (*_odd_samples(file, found), *_odd_extents(file, found, units))
+    ]
 
 
-def _of_file(
-    file: str, found: Sequence[tuple[ForeignRun, TraceSpan]], units: Mapping[str, Unit | None]
-) -> Iterator[str]:
+def _odd_samples(file: str, found: Sequence[tuple[ForeignRun, TraceSpan]]) -> Iterator[str]:
     if empty := [run.run_id for run, span in found if not span.count]:
         yield f"{file} has no samples in {_of(empty, found)}"
     if cut := [run.run_id for run, span in found if span.left_out]:
@@ -226,6 +242,24 @@ def _of_file(
         cells = sum(span.without_number for _, span in found)
         verbs = "holds no number and is" if cells == 1 else "hold no number and are"
         yield f"{counted(cells, 'cell')} of {file} {verbs} missing here, in {_of(odd, found)}"
+    if wrapped := [run.run_id for run, span in found if span.impossible]:
+        powers = counted(sum(span.impossible for _, span in found), "power")
+        verb = "is" if powers.startswith("1 ") else "are"
+        words = f"{powers} of {file} {verb} far below 0, as where a counter wraps around"
+        yield f"{words}, and {verb} missing here, in {_of(wrapped, found)}"
+    for counter in dict.fromkeys(name for _, span in found for name in span.restarted):
+        runs = _of([run.run_id for run, span in found if counter in span.restarted], found)
+        yield f"{counter} of {file} starts again from a low count in {runs}: {_BRIDGED}"
+    if coarse := [(run.run_id, span) for run, span in found if span.is_coarse]:
+        (_, span), runs = coarse[0], _of([name for name, _ in coarse], found)
+        words = f"{file} has {span.count / span.moments:.0f} samples to each time"
+        apart = f"times {span.seconds / (span.moments - 1):.3g} s apart"
+        yield f"{words}, and {apart}, in {runs}: durations and integrals are not known better than that"
+
+
+def _odd_extents(
+    file: str, found: Sequence[tuple[ForeignRun, TraceSpan]], units: Mapping[str, Unit | None]
+) -> Iterator[str]:
     late: list[tuple[float, str]] = []
     early: list[tuple[float, str]] = []
     short: list[tuple[float, str]] = []

@@ -188,6 +188,9 @@ def understand(root: Path, said: ImportDescription) -> Understanding:
     if not table.rows:
         raise AnalysisError("there are no runs in the table", where=where, fix="Name the table that holds the runs.")
     roles = roles_of(table, said)
+    if len(table.headings) == 1 and not table.is_numeric(table.headings[0]) and not said.recipes:
+        fix = "Separate its cells by commas, semicolons or tabs, or name the table of the runs: --table FILE."
+        raise AnalysisError("the table has one column, of text", where=where, fix=fix)
     if not roles.measures and not said.recipes and not roles.factors:
         fix = "Name them: --factor and --measure."
         raise AnalysisError("no column is recognised as a factor or a measure", where=where, fix=fix)
@@ -245,7 +248,12 @@ def _table_path(root: Path, name: str | None) -> Path:
         raise StorageError(f"there is no {name!r} in the folder", where=str(root), fix=did_you_mean(name, names))
     which = f"which of {', '.join(names[:_SHOWN_TABLES])} is the run table?"
     problem = which if names else "there is no CSV file in the folder"
-    raise StorageError(problem, where=str(root), fix="Name the run table: --table FILE.")
+    fix = "Name the run table: --table FILE."
+    if len(names) > 1:
+        fix += (
+            " If each is the log of a run, write a table of the runs, and put each into a folder named by its run's id."
+        )
+    raise StorageError(problem, where=str(root), fix=fix)
 
 
 def _unit(table: ForeignTable, measure: str, units: Mapping[str, str]) -> Unit | None:
