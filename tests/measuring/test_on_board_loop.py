@@ -417,6 +417,18 @@ def _is_alive(pid: int) -> bool:
 
 
 @pytest.mark.parametrize("form", PYTHON_AND_SHELL)
+def test_a_sample_that_was_not_kept_whole_is_left_out_of_what_is_recovered(
+    host: Callable[..., SshHost], tmp_path: Path, form: str
+) -> None:
+    kept = tmp_path / "robot-runner-samples-0123456789abcdef-1-0123456789abcdef"
+    kept.write_text("pid\t999999999\nf\t1.0\t=7500000\nf\t2.0\t=75")  # the disk was full
+    session = host(form)._session()
+    session.recover(str(kept))
+    assert session.samples == [["f", "1.0", "=7500000"]]
+    assert not kept.exists()
+
+
+@pytest.mark.parametrize("form", PYTHON_AND_SHELL)
 def test_a_loop_that_is_told_to_leave_ends_at_once(
     host: Callable[..., SshHost], form: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -192,7 +192,7 @@ def test_a_host_whose_key_is_not_known_is_refused_with_a_remedy(tmp_path: Path) 
             SshHost("robot", SystemClock(), config=server.config).sample_utilisation(10.0)
         (finding,) = ssh_findings("plugin PsUtil", "robot", config=server.config)
         assert "Host key verification failed" in finding.problem
-        assert "ssh robot" in finding.fix
+        assert f"ssh -F {server.config} robot" in finding.fix
     finally:
         server.stop()
 
@@ -203,7 +203,7 @@ def test_a_key_that_the_host_does_not_take_is_refused_with_a_remedy(server: SshS
     config.write_text(server.config.read_text().replace(f"{server.folder}/user_key", f"{tmp_path}/stranger"))
     with pytest.raises(LinkError, match="Permission denied") as raised:
         SshHost("robot", SystemClock(), config=config).sample_utilisation(10.0)
-    assert raised.value.fix == "Give it this machine's key: ssh-copy-id robot."
+    assert raised.value.fix.startswith(f"Give it this machine's key, ssh-copy-id -F {config} robot, or ")
 
 
 def test_the_connection_of_a_run_that_is_interrupted_while_the_host_greets_is_ended(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import csv
+import io
 from collections import Counter
 from pathlib import Path
 
@@ -23,6 +25,8 @@ def _clean(text, *, loose=True, secrets=(), home=None):
     [
         ('{"password": "hunter2", "n": 3}', '{"password": "REDACTED", "n": 3}'),
         (r'{"password": "a\"b", "n": 3}', '{"password": "REDACTED", "n": 3}'),
+        (r'{"said": "{\"password\": \"hunter2\", \"n\": 3}"}', r'{"said": "{\"password\": \"REDACTED\", \"n\": 3}"}'),
+        (r'{"said": "{\"password\": \"a\\\"b\", \"n\": 3}"}', r'{"said": "{\"password\": \"REDACTED\", \"n\": 3}"}'),
         (r'{"fields":"{\"api_key\": \"abc\"}"}', r'{"fields":"{\"api_key\": \"REDACTED\"}"}'),
         ('password = "1234"', 'password = "REDACTED"'),
         ("connect(token='xyz', user='ada')", "connect(token='REDACTED', user='ada')"),
@@ -217,6 +221,30 @@ def test_a_secret_is_found_in_its_column_whatever_stands_in_the_others(row, tmp_
 )
 def test_the_heading_says_what_separates_the_columns(table, tmp_path):
     assert cleaned_table(table.replace("X", "hunter2"), tmp_path) == table.replace("X", "REDACTED")
+
+
+@pytest.mark.parametrize("separator", [",", ";", "\t"])
+@pytest.mark.parametrize(
+    ("cell", "cleaned"),
+    [
+        ("https://lab.example/?api_key=hunter22", "https://lab.example/?api_key=REDACTED"),
+        ("curl -u lab:hunter22", "curl -u lab:REDACTED"),
+        ('{"password": "hunter22", "n": 5}', '{"password": "REDACTED", "n": 5}'),
+        ('{"password": 12345678, "n": 5}', '{"password": REDACTED, "n": 5}'),
+        ("password='hunter22'", "password='REDACTED'"),
+        ("tcp://robot:7447", "tcp://robot:7447"),
+        ("mqtt://lab:hunter22@broker", "mqtt://lab:REDACTED@broker"),
+        ("a note on the password", "a note on the password"),
+    ],
+)
+def test_what_is_replaced_in_a_cell_leaves_the_others_as_they_are(cell, cleaned, separator, tmp_path):
+    def table(text):
+        rows = [["Place", "Task", "Energy", "Host", "Note"], ["it's", text, "831.5", "pi@robot", "is Hunter22"]]
+        written = io.StringIO()
+        csv.writer(written, delimiter=separator, lineterminator="\n").writerows(rows)
+        return written.getvalue()
+
+    assert cleaned_table(table(cell), tmp_path) == table(cleaned)
 
 
 def test_a_table_that_is_longer_than_a_block_keeps_its_secret_columns(tmp_path):

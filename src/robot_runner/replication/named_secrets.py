@@ -34,7 +34,11 @@ _LONGEST_LINE = 400
 _NAME_BEFORE = re.compile(rb"[\w.-]*", re.ASCII)
 
 _QUOTE = rb"\\?[\"']"
-_TEXT = rb"(?P<quote>[rbfuRBFU]{0,2}(?P<mark>\\?[\"']))(?P<quoted>(?:\\[^\n]|(?!(?P=mark))[^\\\n])*)(?P=mark)"
+#: In a text within a text, a quotation mark has a backslash, and one within that has three.
+_TEXT = (
+    rb"(?P<quote>[rbfuRBFU]{0,2}(?P<mark>\\?[\"']))"
+    rb"(?P<quoted>(?:\\\\\\[\"']|(?!(?P=mark))(?:\\[^\n]|[^\\\n]))*)(?P=mark)"
+)
 _BARE = rb"(?P<bare>[^\s\"'`,;<>\\)}\]]+)"
 _NUMBER = rb"(?P<number>\d{4,})(?![\w.])"
 
@@ -121,6 +125,14 @@ _CELLS = {
     for mark in (b",", b";", b"\t")
 }
 
+#: Quoted cells of a table, by separator, and all that is between them.
+_QUOTED_CELLS = {
+    mark: re.compile(
+        rb"(?<![^MARK\r\n])\"(?P<quoted>(?:[^\"]|\"\")*+)\"(?=[MARK\r\n]|\Z)|[^\"]+|\"".replace(b"MARK", mark)
+    )
+    for mark in _CELLS
+}
+
 
 _IN_QUOTES = re.compile(rb"\"[^\"]*\"")
 
@@ -132,6 +144,23 @@ def _rows(block: bytes, separator: bytes) -> Iterator[list[re.Match[bytes]]]:
         if cell["end"] != separator:
             yield row
             row = []
+
+
+def cells_apart(table: bytes, separator: bytes) -> bytes:
+    r"""Return a table, as long as before, in which each cell is a line, and quotation marks within cells are escaped.
+
+    So a secret ends where its cell ends.
+
+    Example:
+        >>> cells_apart(b'tcp://robot:7447,831.0,"a ""b"", c"', b",")
+        b'tcp://robot:7447\n831.0\n"a \\"b\\", c"'
+    """
+
+    def apart(match: re.Match[bytes]) -> bytes:
+        cell, between = match["quoted"], match[0]
+        return between.replace(separator, b"\n") if cell is None else b'"' + cell.replace(b'""', b'\\"') + b'"'
+
+    return _QUOTED_CELLS[separator].sub(apart, table)
 
 
 def secret_columns(beginning: bytes) -> tuple[bytes, frozenset[int]]:
@@ -280,7 +309,7 @@ def _judged(match: re.Match[bytes], group: str, name: str, begin: int) -> Iterat
 def _judged_number(match: re.Match[bytes], name: str, begin: int, grammar: Grammar) -> Iterator[Found]:
     """Yield a number that is a password; short numbers of tokens and keys are mostly counts or indices."""
     if _LOGIN_WORDS.search(name) or len(match["number"]) >= _SHORTEST_TOKEN_NUMBER:
-        replacement = b"REDACTED" if grammar in {Grammar.TEXT, Grammar.MARKUP} else b'"REDACTED"'
+        replacement = b'"REDACTED"' if grammar in {Grammar.DATA, Grammar.CODE} else b"REDACTED"
         yield Found(*match.span("number"), _WHAT, begin, replacement)
 
 

@@ -16,6 +16,7 @@ from robot_runner.replication.code_secrets import found_in_code
 from robot_runner.replication.named_secrets import (
     NAME_HINTS,
     Grammar,
+    cells_apart,
     named_secrets,
     secret_columns,
     secrets_in_columns,
@@ -123,13 +124,14 @@ class Redactor:
         wanted = [*self.known, *(each for each in kinds() if self.has_general or each.what == "private key")]
         return tuple(sorted(wanted, key=lambda each: each.what == HOME_PATH))  # last: secrets in paths
 
-    def find(self, block: bytes, grammar: Grammar, *, is_file: bool = False) -> list[Found]:
+    def find(self, block: bytes, grammar: Grammar, *, is_file: bool = False, separator: bytes = b",") -> list[Found]:
         """Return the secrets of a block in their order, without overlaps.
 
         Args:
             block: the text.
             grammar: its grammar.
             is_file: whether it is a whole file, so that code can be parsed.
+            separator: between the columns of a table.
         """
         hinted = reduced(block)
         if not hinted:
@@ -137,11 +139,12 @@ class Redactor:
         found: list[Found] = []
         if is_file and grammar is Grammar.CODE and self.has_general:
             found += found_in_code(block)
+        searched = cells_apart(block, separator) if grammar is Grammar.TABLE else block
         for kind in self._kinds:
             if any(hint in hinted for hint in kind.hints):
-                found += kind.find(block)
+                found += kind.find(block if kind in self.known else searched)
         if self.has_general and any(hint in hinted for hint in NAME_HINTS):
-            found += named_secrets(block, grammar)
+            found += named_secrets(searched, grammar)
         return _without_overlap(found)
 
     def secrets_in(self, chunks: Iterable[bytes], grammar: Grammar) -> Counter[str]:
@@ -162,9 +165,9 @@ class Redactor:
             kept += chunk
             if not is_last and is_whole and len(kept) < _WHOLE:
                 continue
-            found = self.find(kept, grammar, is_file=is_whole and is_last)
             if is_whole and grammar is Grammar.TABLE and self.has_general:
                 separator, columns = secret_columns(kept[:_LONGEST_HEADING])
+            found = self.find(kept, grammar, is_file=is_whole and is_last, separator=separator)
             ends: list[int] = []
             if columns:
                 in_columns, ends = _in_columns(kept, separator, columns, is_whole=is_whole, is_last=is_last)

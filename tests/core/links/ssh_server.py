@@ -80,11 +80,16 @@ def needed(name: str) -> str:
 class SshServer:
     """An sshd that lets the user of the tests in, as host `robot` of the config `config`.
 
+    Args:
+        folder: for its files.
+        environment: of its sessions.
+        line: one more line of its configuration.
+
     Attributes:
         config: for `ssh -F`.
     """
 
-    def __init__(self, folder: Path, *, environment: dict[str, str] | None = None) -> None:
+    def __init__(self, folder: Path, *, environment: dict[str, str] | None = None, line: str = "") -> None:
         self.folder = folder
         self.config = folder / "ssh_config"
         sshd, keygen = needed("sshd"), needed("ssh-keygen")
@@ -94,7 +99,7 @@ class SshServer:
         self.port = claim_port()
         variables = [_NO_BASHRC, *(f'"{name}={value}"' for name, value in (environment or {}).items())]
         configured = _SERVER.format(port=self.port, folder=folder, variables=" ".join(variables))
-        (folder / "sshd_config").write_text(configured)
+        (folder / "sshd_config").write_text(f"{configured}{line}\n")
         self.config.write_text(_CLIENT.format(port=self.port, folder=folder, user=getpass.getuser()))
         self.know((folder / "host_key.pub").read_text())
         self._provide_separation()

@@ -22,7 +22,7 @@ from robot_runner.core.errors import CommandError, ConfigError, LinkError
 from robot_runner.core.links import host_commands
 from robot_runner.core.links.declared_host import Host, Reboot, are_hosts
 from robot_runner.core.links.host_commands import opened_host
-from robot_runner.core.links.ssh_command import KeptConnection
+from robot_runner.core.links.ssh_command import KeptConnection, ssh_findings
 from robot_runner.testing import FakeClock, make_context
 
 if TYPE_CHECKING:
@@ -272,6 +272,54 @@ def test_all_commands_of_a_run_share_one_connection(server: SshServer, context: 
     for _ in range(3):
         host.run("true")
     assert (server.folder / "sshd.log").read_text().count("Accepted publickey") == before
+
+
+@pytest.fixture
+def configured(tmp_path: Path) -> Iterator[Callable[[str], Host]]:
+    """Return what starts an sshd with one more line in its configuration, and declares it as a host."""
+    with ExitStack() as stopping:
+
+        def start(line: str) -> Host:
+            (tmp_path / "own_sshd").mkdir()
+            started = SshServer(tmp_path / "own_sshd", line=line)
+            stopping.callback(started.stop)
+            return Host(address="robot", ssh_config=started.config)
+
+        yield start
+
+
+@pytest.mark.long  # an sshd of its own, and three sessions
+def test_what_a_login_writes_is_not_taken_for_what_a_command_wrote(
+    configured: Callable[[str], Host], context: RobotRunnerContext, tmp_path: Path
+) -> None:
+    (tmp_path / "nav.log").write_text("42")
+    login = """ForceCommand printf 'Welcome to the robot\\nROS '; sh -c "$SSH_ORIGINAL_COMMAND\""""
+    host = opened_host({"robot": configured(login)}, "robot", context)
+    assert host.run("echo 5").output == "5\n"
+    host.copy_to(tmp_path / "nav.log", f"{tmp_path}/copied.log")
+    (fetched,) = host.fetch(f"{tmp_path}/copied.log")
+    assert fetched.read_text() == "42"
+    assert warned(context) == ""
+
+
+@pytest.mark.long  # an sshd of its own, and three sessions
+def test_a_login_that_executes_something_else_than_the_command_is_told(
+    configured: Callable[[str], Host], context: RobotRunnerContext, tmp_path: Path
+) -> None:
+    (tmp_path / "nav.log").write_text("42")
+    # The kept connection holds.
+    login = """ForceCommand case "$SSH_ORIGINAL_COMMAND" in *"cat >"*) cat ;; *) echo 'It is for backups.' ;; esac"""
+    declared = configured(login)
+    instead = "did not execute the command: It is for backups."
+    (finding,) = ssh_findings("hosts", "robot", config=declared.ssh_config)
+    assert instead in finding.problem
+    host = opened_host({"robot": declared}, "robot", context)
+    with pytest.raises(LinkError, match=instead):
+        host.run("echo 5", check=False, timeout_s=10)
+    with pytest.raises(LinkError, match=instead):
+        host.copy_to(tmp_path / "nav.log", f"{tmp_path}/copied.log")
+    with pytest.raises(LinkError, match=instead):
+        host.fetch(f"{tmp_path}/nav.log")
 
 
 def test_a_connection_that_is_lost_fails_the_command_and_is_made_again(

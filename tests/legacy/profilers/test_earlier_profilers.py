@@ -244,8 +244,16 @@ def test_a_profiler_of_another_system_says_so(monkeypatch: pytest.MonkeyPatch) -
 
 
 def test_a_log_is_read_with_types(tmp_path: Path) -> None:
-    (tmp_path / "log.csv").write_text("a, b\n1,x\n2.5,\n")
-    assert read_table(tmp_path / "log.csv") == {"a": {0: 1, 1: 2.5}, "b": {0: "x", 1: None}}
+    (tmp_path / "log.csv").write_text("a, b\n1,x\n2.5,y\n")
+    assert read_table(tmp_path / "log.csv") == {"a": {0: 1, 1: 2.5}, "b": {0: "x", 1: "y"}}
+
+
+def test_what_lacks_in_a_log_is_nan_as_in_the_earlier_tool(tmp_path: Path) -> None:
+    (tmp_path / "log.csv").write_text("Time,CPU,DRAM\n1,,2.5\n2,0.5")  # ended while it wrote
+    log = read_table(tmp_path / "log.csv")
+    assert log["Time"] == {0: 1, 1: 2}
+    assert math.isnan(log["CPU"][0])
+    assert math.isnan(sum(log["DRAM"].values()))
 
 
 class _Thermometer(DeviceSource):

@@ -17,7 +17,7 @@ from robot_runner.core.events.resources import CommandResult
 from robot_runner.core.links.archived_files import TAR_MARGIN, Unpacked, pack, unpack
 from robot_runner.core.links.declared_host import FETCHABLE, Host, is_fetchable
 from robot_runner.core.links.host_program import MOST_KEPT, Ended, Program, last_lines, shell_path, shortened
-from robot_runner.core.links.ssh_command import KeptConnection
+from robot_runner.core.links.ssh_command import LET_EXECUTE, KeptConnection, for_any_shell
 from robot_runner.core.secret_names import without_environment_secrets
 from robot_runner.core.storage.guarded_files import make_folder, open_to_append
 from robot_runner.core.words import shown_duration
@@ -60,7 +60,7 @@ class Shell(Protocol):
         """Return whether the host is still connected; asked after a failing command."""
 
     def command(self, remote: str, *, within_s: float) -> list[str]:
-        """Return the command line by which the host's login shell executes `remote`; connect within so many s."""
+        """Return the command line by which the host's `sh` executes `remote`; connect within so many s."""
 
     def close(self) -> None:
         """Disconnect from the host; closing twice does nothing."""
@@ -72,7 +72,7 @@ class _LocalShell:
 
     def command(self, remote: str, *, within_s: float) -> list[str]:
         del within_s
-        return ["/bin/sh", "-c", remote]
+        return ["/bin/sh", "-c", for_any_shell(remote)]
 
     def close(self) -> None:
         pass
@@ -116,7 +116,7 @@ class HostCommands:
             self._warn(problem, "Have it write to a file there, and fetch that.")
         if not ended.is_in_time:
             raise self._failed(result, f"did not end within {timeout_s:g} s")
-        self._refuse_lost(ended, f"while {shortened(text)!r} was executed")
+        self._refuse_unexecuted(ended, f"while {shortened(text)!r} was executed")
         if check and not result.is_success:
             raise self._failed(result, f"ended with exit status {result.exit_status}")
         return result
@@ -137,7 +137,7 @@ class HostCommands:
         with TemporaryFile() as archive:
             pack(local, name, archive)
             ended = Program(self._line(timeout_s, script), source=archive).follow(timeout_s)
-        self._refuse_lost(ended, f"while {local} was copied")
+        self._refuse_unexecuted(ended, f"while {local} was copied")
         if ended.exit_status or not ended.is_in_time:
             why = last_lines(ended.errors, 1) if ended.is_in_time else f"it took longer than {timeout_s:g} s"
             raise LinkError(
@@ -167,11 +167,10 @@ class HostCommands:
         script = _ARCHIVE.format(pattern=shell_path(pattern, is_pattern=True), nothing=_NOTHING)
         with TemporaryFile(dir=folder.parent) as archive:
             ended = Program(self._line(seconds, script), target=archive, most=most + TAR_MARGIN).follow(seconds)
-            self._refuse_lost(ended, f"while {pattern} was fetched")
+            self._refuse_unexecuted(ended, f"while {pattern} was fetched")
             if ended.exit_status == _NOTHING:
                 self._warn(f"there is no {pattern} to fetch", "Look at the path, and at what was to write it.")
                 return Unpacked()
-            archive.seek(0)
             unpacked = unpack(archive, folder, most)
         self._opened.room -= unpacked.size
         for problem in unpacked.problems:
@@ -195,8 +194,7 @@ class HostCommands:
         if any("\0" in word for word in (program, *arguments)):
             problem = "no word of a command or path can hold a NUL character"
             raise LinkError(problem, where=self._name, fix="Leave it out.")
-        # For any login shell: `sh` with quoted words.
-        remote = shlex.join(["sh", "-c", program, "robot-runner", *arguments])
+        remote = shlex.join(["exec", "sh", "-c", program, "robot-runner", *arguments])
         return self.shell.command(remote, within_s=self._checked(seconds))
 
     def _checked(self, timeout_s: float) -> float:
@@ -215,13 +213,20 @@ class HostCommands:
             said = f"{without_environment_secrets(text)}[{how}, {shown_duration(result.seconds)}]\n"
             file.write(said.encode("utf-8", "backslashreplace"))
 
-    def _refuse_lost(self, ended: Ended, meanwhile: str) -> None:
+    def _refuse_unexecuted(self, ended: Ended, meanwhile: str) -> None:
         if ended.exit_status == _SSH_FAILED and not self.shell.is_connected():
             said = last_lines(ended.errors, 1)
             raise LinkError(
                 f"the connection was lost {meanwhile}{f': {said}' if said else ''}",
                 where=self._name,
                 fix="Check whether it is switched on, and at the network.",
+            )
+        if ended.is_in_time and not ended.has_begun:
+            said = last_lines(ended.errors or ended.output, 1)
+            raise LinkError(
+                f"the host did not execute the command{f': {said}' if said else ''}",
+                where=self._name,
+                fix=LET_EXECUTE,
             )
 
     def _failed(self, result: CommandResult, how: str) -> CommandError:

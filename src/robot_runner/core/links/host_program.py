@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import io
 import os
 import selectors
 import signal
@@ -14,11 +15,14 @@ from dataclasses import dataclass
 from typing import IO
 
 from robot_runner.core.errors import LinkError
+from robot_runner.core.links.ssh_command import passes_login
 from robot_runner.core.words import one_line
 
 #: How many bytes are kept in memory of a program's output, and of its errors.
 MOST_KEPT = 16_000_000
 _CHUNK = 65536
+#: The same, with what a login writes before the program.
+_MOST_HELD = MOST_KEPT + 65536
 #: How often it is checked whether the program has ended, and how large its output file is, s.
 _LOOK = 0.1
 #: How long a program may take to end once it is told to, s, before it is killed.
@@ -62,6 +66,7 @@ class Ended:
         is_in_time: whether it ended before its deadline.
         is_too_much: whether it was ended because it wrote more than allowed.
         is_cut: whether it wrote more than is kept in memory: `output` and `errors` have the beginning.
+        has_begun: whether its script was executed; else `output` has what was executed in its place.
     """
 
     exit_status: int
@@ -71,15 +76,16 @@ class Ended:
     is_in_time: bool = True
     is_too_much: bool = False
     is_cut: bool = False
+    has_begun: bool = True
 
 
 class Program:
-    """A program in a session of its own; whatever ends `follow` ends the program.
+    """A script of `for_any_shell` in a session of its own; whatever ends `follow` ends it.
 
     Args:
         line: program and arguments.
         source: its input.
-        target: a file for its output, instead of memory.
+        target: a file for its output, instead of memory; `follow` leaves it where the output of the script begins.
         most: how many bytes of output are allowed.
         has_lifeline: whether its input is a pipe that is closed when it is to end.
 
@@ -132,14 +138,20 @@ class Program:
                     self._take_until(time.monotonic() + _GRACE if process.stdin else 0.0, selector, most=None)
             finally:
                 self._end()
+        said = io.BytesIO(output) if self._target is None else self._target
+        if not (has_begun := passes_login(said)):
+            said.seek(0)
+        is_in_target = has_begun and self._target is not None
+        written = "" if is_in_target else self._first_of(said)
         return Ended(
             process.returncode,
-            output.decode(errors="backslashreplace"),
-            errors.decode(errors="backslashreplace"),
+            written,
+            self._first_of(io.BytesIO(errors)),
             time.monotonic() - self._started,
             is_in_time,
             is_too_much,
             self._is_cut,
+            has_begun,
         )
 
     def _take_until(self, deadline: float, selector: selectors.BaseSelector, most: int | None = 0) -> bool:
@@ -166,8 +178,13 @@ class Program:
             selector.unregister(stream)  # type: ignore[arg-type] # what was registered
             return
         kept = self._kept[descriptor]
-        self._is_cut |= len(kept) + len(data) > MOST_KEPT
-        kept += data[: MOST_KEPT - len(kept)]
+        self._is_cut |= len(kept) + len(data) > _MOST_HELD
+        kept += data[: _MOST_HELD - len(kept)]
+
+    def _first_of(self, said: IO[bytes]) -> str:
+        first = said.read(MOST_KEPT)
+        self._is_cut |= bool(said.read(1))
+        return first.decode(errors="backslashreplace")
 
     def _is_too_much(self) -> bool:
         return self._target is not None and os.fstat(self._target.fileno()).st_size > self._most

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import fcntl
+import io
 import os
+import shlex
 import shutil
 import subprocess
 import tempfile
@@ -36,15 +38,27 @@ _MAYBE_AN_ATTACK = (
     "a good reason, such as a system that was installed again, have ssh forget the old one: {forget}."
 )
 _REMEDIES = (
-    ("permission denied", "Give it this machine's key: ssh-copy-id {host}."),
+    (
+        "permission denied",
+        "Give it this machine's key, ssh-copy-id {by_hand}, or load one that has a passphrase into the agent: ssh-add.",
+    ),
     (_CHANGED_KEY, _MAYBE_AN_ATTACK),
-    ("host key verification failed", "Connect once by hand, and say yes to its key: ssh {host}."),
+    ("host key verification failed", "Connect once by hand, and say yes to its key: ssh {by_hand}."),
     ("could not resolve hostname", "Look at the name, and at the network."),
     ("connection refused", "Start the SSH server there (Debian, Ubuntu: sudo apt install openssh-server)."),
     ("timed out", "Check whether it is switched on, and at the network."),
     ("no route to host", "Check whether it is switched on, and at the network."),
 )
-_REMEDY = "Try it by hand: ssh {host} true."
+_REMEDY = "Try it by hand: ssh {by_hand} true."
+
+#: A line of its own that precedes what a command writes; before it stands what the login writes, as from a `.bashrc`.
+BEGIN = "robot-runner begins"
+#: What all shells take as it is within single quotes: fish does not so take a backslash before another one or before a
+#: quote, nor csh an exclamation mark or a line feed.
+_PLAIN = frozenset(range(ord(" "), ord("~") + 1)) - frozenset(b"\\'!")
+_MOST_IN_LINE = 1 << 16
+#: The fix where the login of a host executes something else than what it is asked to.
+LET_EXECUTE = "Let this account execute commands there: look at its login shell, and at ForceCommand."
 
 
 def checked_destination(host: str) -> str:
@@ -67,31 +81,56 @@ def checked_destination(host: str) -> str:
     return host
 
 
+def for_any_shell(script: str) -> str:
+    r"""Return a command by which any login shell has the host's `sh` execute a script; `passes_login` finds its output.
+
+    Example:
+        >>> print(for_any_shell("echo it's"))
+        exec sh -c 'echo; echo robot-runner begins; eval "$(printf %b "$1")"' sh 'echo it\0047s'
+    """
+    encoded = "".join(chr(each) if each in _PLAIN else f"\\0{each:03o}" for each in os.fsencode(script))
+    return f"""exec sh -c 'echo; echo {BEGIN}; eval "$(printf %b "$1")"' sh '{encoded}'"""
+
+
+def passes_login(said: IO[bytes]) -> bool:
+    """Move behind what a login wrote before a command of `for_any_shell`; false if the command was not executed."""
+    said.seek(0)
+    while line := said.readline(_MOST_IN_LINE):
+        if line == f"{BEGIN}\n".encode():
+            return True
+    return False
+
+
 def ssh_command(host: str, remote: str, *, config: Path | None = None) -> list[str]:
-    """Return the command line that executes `remote` on a host, with the user's ssh config or the one given.
+    """Return the command line by which the `sh` of a host executes `remote`, with the user's ssh config or another.
+
+    What it writes follows what the login writes: see `passes_login`.
 
     Raises:
         LinkError: the host's name is invalid.
 
     Example:
-        >>> ssh_command("pi@robot", "true")[-3:]
-        ['--', 'pi@robot', 'true']
+        >>> ssh_command("pi@robot", "true")[-3:-1]
+        ['--', 'pi@robot']
     """
     own = [] if config is None else ["-F", str(config)]
-    return ["ssh", *own, *_OPTIONS, "--", checked_destination(host), remote]
+    return ["ssh", *own, *_OPTIONS, "--", checked_destination(host), for_any_shell(remote)]
 
 
-def remedy(host: str, answer: str) -> str:
+def remedy(host: str, answer: str, *, config: Path | None = None) -> str:
     """Return the fix for an error of ssh, by all that it wrote: the cause may be above the last line.
 
     Example:
-        >>> remedy("pi@robot", "pi@robot: Permission denied (publickey).")
-        "Give it this machine's key: ssh-copy-id pi@robot."
+        >>> remedy("pi@robot", "Host key verification failed.")
+        'Connect once by hand, and say yes to its key: ssh pi@robot.'
     """
+    by_hand = host if config is None else f"-F {shlex.quote(str(config))} {host}"
     text = answer.lower()
     known = (fix for sign, fix in _REMEDIES if sign in text)
     told = (line.strip() for line in answer.splitlines() if line.strip().startswith("ssh-keygen "))
-    return next(known, _REMEDY).format(host=host, forget=next(told, "ssh-keygen -R followed by its name"))
+    return next(known, _REMEDY).format(
+        host=host, by_hand=by_hand, forget=next(told, "ssh-keygen -R followed by its name")
+    )
 
 
 def gist(answer: str) -> str:
@@ -109,7 +148,7 @@ def gist(answer: str) -> str:
 def ssh_findings(where: str, host: str, *, config: Path | None = None) -> list[Finding]:
     """Return findings on why nothing can be executed on a host; it is tried without changing anything there."""
     try:
-        command = ssh_command(host, "exit 0", config=config)
+        command = ssh_command(host, "echo here", config=config)
     except LinkError as error:
         return [Finding.error(where, error.problem, error.fix)]
     if shutil.which("ssh") is None:
@@ -117,22 +156,26 @@ def ssh_findings(where: str, host: str, *, config: Path | None = None) -> list[F
     if config is not None and not config.is_file():
         return [Finding.error(where, f"there is no ssh config {config}", "Name a file that is there.")]
     try:
-        answer = failure(execute(command, timeout=_CHECK_SECONDS))
+        done = execute(command, timeout=_CHECK_SECONDS)
+        answer, said = failure(done), done.stdout.decode(errors="replace")
     except subprocess.TimeoutExpired:
-        answer = f"ssh timed out after {_CHECK_SECONDS:g} s"
+        answer, said = f"ssh timed out after {_CHECK_SECONDS:g} s", ""
     if answer is None:
-        return []
-    return [Finding.error(where, f"{host} cannot be reached: {gist(answer)}", remedy(host, answer))]
+        other = f"{host} did not execute the command: {gist(said)}"
+        return [] if said == "here\n" else [Finding.error(where, other, LET_EXECUTE)]
+    return [Finding.error(where, f"{host} cannot be reached: {gist(answer)}", remedy(host, answer, config=config))]
 
 
 def execute(command: list[str], *, timeout: float) -> subprocess.CompletedProcess[bytes]:
     """Execute a command of `ssh_command` to its end, without input, for `timeout` seconds at most.
 
+    What it returns has nothing of what the login wrote.
+
     Raises:
         OSError: it cannot be started.
         subprocess.TimeoutExpired: it takes longer.
     """
-    return subprocess.run(  # noqa: S603 - an argument list; the host's name was checked
+    done = subprocess.run(  # noqa: S603 - an argument list; the host's name was checked
         command,
         stdin=subprocess.DEVNULL,
         capture_output=True,
@@ -140,6 +183,10 @@ def execute(command: list[str], *, timeout: float) -> subprocess.CompletedProces
         check=False,
         start_new_session=True,
     )
+    said = io.BytesIO(done.stdout)
+    if passes_login(said):
+        done.stdout = said.read()
+    return done
 
 
 def failure(done: subprocess.CompletedProcess[bytes]) -> str | None:
@@ -246,7 +293,8 @@ class KeptConnection:
 
     def _unreachable(self, answer: str) -> LinkError:
         why = gist(answer) or "ssh ended without a word"
-        return LinkError(f"{self._host} cannot be reached: {why}", where=self._host, fix=remedy(self._host, answer))
+        fix = remedy(self._host, answer, config=self._config)
+        return LinkError(f"{self._host} cannot be reached: {why}", where=self._host, fix=fix)
 
     def _close(self) -> None:
         master, self._master = self._master, None

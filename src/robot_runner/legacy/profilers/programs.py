@@ -99,7 +99,8 @@ def read_table(path: Path | str, names: Sequence[str] | None = None) -> Table:
         names: the columns' names; None takes them from the first line.
 
     Returns:
-        The values of each column by row, from 0: a number if the cell is one, None if it is empty.
+        The values of each column by row, from 0: a number if the cell is one, NaN if it is empty or lacks, as in the
+        last row of a program that was ended while it wrote.
 
     Raises:
         OSError: the file cannot be read.
@@ -109,7 +110,7 @@ def read_table(path: Path | str, names: Sequence[str] | None = None) -> Table:
     if names is None:
         names, rows = (rows[0], rows[1:]) if rows else ([], [])
     return {
-        name.strip(): {place: _value(row[column]) if column < len(row) else None for place, row in enumerate(rows)}
+        name.strip(): {place: _value(row[column]) if column < len(row) else math.nan for place, row in enumerate(rows)}
         for column, name in enumerate(names)
     }
 
@@ -119,7 +120,7 @@ def _value(text: str) -> Any:
     for kind in (int, float):
         with suppress(ValueError):
             return kind(text)
-    return text or None
+    return text or math.nan
 
 
 #: The column of the run table that it fills.

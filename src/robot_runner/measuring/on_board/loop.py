@@ -20,7 +20,7 @@ fast to import. Messages are lines of fields, separated by tabs:
     f  STEADY  =LINE or - ...
 
 With a TOKEN, samples are kept in a file named after it until `stop`; with `-` they are sent at once. If the input ends
-while samples are kept, the loop goes on for its lease, so that they can be recovered. A token begins with its owner:
+while samples are kept, the loop runs on for its lease, so that they can be recovered. A token begins with its owner:
 leftovers are all files of one owner.
 Memory is in kB; CORE is empty for all cores together.
 """
@@ -330,7 +330,7 @@ def send(path: str) -> None:
     """Send the samples of a file, and remove it."""
     with open(path, encoding="utf-8") as file:
         for line in file:
-            if line.startswith(("s\t", "f\t")):
+            if line.startswith(("s\t", "f\t")) and line.endswith("\n"):  # the disk may have been full in the last one
                 sys.stdout.write(line)
     os.unlink(path)
 
@@ -347,7 +347,7 @@ def end_holder(path: str) -> None:
 
 
 def discard(path: str) -> None:
-    """Remove a file of samples that nobody will fetch."""
+    """Remove a file of samples that is not needed."""
     if os.path.basename(path).startswith(PREFIX):
         end_holder(path)
         if os.path.exists(path):

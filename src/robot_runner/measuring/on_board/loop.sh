@@ -373,8 +373,9 @@ end() {
     fi
 }
 
+# The disk may have been full in the last line.
 send_kept() {
-    grep "^[sf]$tab" "$1"
+    if [ -n "$(tail -c 1 "$1")" ]; then sed '$d' "$1"; else cat "$1"; fi | grep "^[sf]$tab"
     rm -f "$1"
 }
 
