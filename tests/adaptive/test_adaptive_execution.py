@@ -137,6 +137,14 @@ def searched(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[NextD
     return config, execute(config)[1]
 
 
+def test_the_first_runs_of_a_search_over_a_range_are_resumed_without_a_warning(tmp_path: Path) -> None:
+    config = with_design(tmp_path, speeds="Range(0.02, 0.22, step=0.02)")
+    execute(config, only=("r_1",))
+    finished, _ = execute(config, only=("r_2",))
+    assert finished.findings == ()
+    assert finished.done_count == 2
+
+
 def test_a_search_finds_the_best_within_its_runs_and_confirms_it(searched: tuple[Path, list[NextDecided]]) -> None:
     config, decided = searched
     rows = rows_of(config)

@@ -120,6 +120,14 @@ def test_what_optuna_offers_for_several_runs_at_a_time_comes_once() -> None:
     assert len(offered) == len({*offered, *map(tuple, tried)}) - len(tried) > 0
 
 
+def test_an_end_of_a_range_that_is_excluded_is_not_tried_though_its_steps_are_of_another_type() -> None:
+    speed = Factor("Speed", Range(0, 1, step=0.1))
+    design = Optimise("Energy", runs=30, start=11)
+    model = RunTableModel([speed], exclude_combinations=[{"Speed": 0}], design=design, data_columns=["Energy"])
+    assert sorted(run.combination["Speed"] for run in model.plan()) == [step / 10 for step in range(1, 11)]
+    assert model.factors[0].texts == ("0", *(f"{step / 10}" for step in range(1, 10)), "1")
+
+
 def test_start_points_reach_the_ends_and_are_spread() -> None:
     factors = [Factor("Speed", Range(0.0, 1.0, step=0.01)), Factor("Weight", Range(1, 9))]
     space = SearchedSpace(factors, lambda _: True)
@@ -186,6 +194,14 @@ def test_what_optuna_offers_has_a_treatment_of_each_factor_that_applies_and_of_n
             lambda: RunTableModel([Factor("Speed", [1])], design=Optimise("Energy", runs=9)),
             "no factor has two treatments",
             "its range",
+        ),
+        (
+            lambda: RunTableModel(
+                [Factor("Bytes", Range(1, 10_000_000))],
+                design=Optimise("Energy", runs=20, confirm=1, baseline={"Bytes": 1}),
+            ),
+            "Bytes has 9,999,999 steps",
+            "a wider step",
         ),
         (
             lambda: model_of(Optimise("Energy", runs=20), exclude_combinations=[lambda _: True]),

@@ -134,6 +134,15 @@ def test_a_setting_that_cannot_be_is_told_where_it_stands(robot_runner: Callable
     assert "--set workers=foo: the value is " in robot_runner("check", "config.py", "--set", "workers=foo").out
 
 
+def test_a_setting_beside_the_option_that_stands_for_it_is_refused(
+    robot_runner: Callable, write_config: Callable[..., Path], tmp_path: Path
+) -> None:
+    write_config()
+    for words in (["run"], ["queue", "add"]):
+        words += ["config.py", "--set", "workers=2", "--workers", "3"]
+        assert_refused(robot_runner, tmp_path, words, "--set workers is given, too")
+
+
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
 @pytest.mark.parametrize("command", ["check", "run"])
 def test_an_unwritable_results_folder_is_refused(

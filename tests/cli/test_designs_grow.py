@@ -59,3 +59,21 @@ def test_a_design_that_would_choose_others_is_refused_with_what_can_be_done(
             extend_experiment(experiment, ExtensionRequest(added=added))
         assert "chose its combinations from the factors as the config has them" in str(refused.value)
         assert "Add repetitions, or execute an experiment of its own" in str(refused.value)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("design", ["CentralComposite(centre=3)", "BoxBehnken()"])
+def test_a_further_repetition_of_a_surface_has_all_its_centre_points(execute: Callable[..., Any], design: str) -> None:
+    factors = ", ".join(f'Factor("{name}", Range(0, 1, step=0.1))' for name in "XYZ")
+    table = f"""
+    def create_run_table(self):
+        return RunTableModel([{factors}], data_columns=["Energy"], design={design})
+"""
+    first = execute(BODY, head=DESIGNS, table=table)
+    planned = sorted((row["X"], row["Y"], row["Z"]) for row in first.table)
+    for repetition in (2, 3):  # the table counts repetitions from the second one on
+        added = Additions(repetitions=repetition)
+        more = extend_experiment(prepare_or_refuse(first.config), ExtensionRequest(added=added)).runs
+        assert sorted(run.combination.texts for run in more) == planned
+        assert {run.repetition for run in more} == {repetition}
+        assert execute(BODY, head=DESIGNS, table=table).finished.done_count == repetition * len(planned)

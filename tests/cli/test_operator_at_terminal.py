@@ -75,6 +75,25 @@ def test_steps_are_shown_and_answers_typed_without_disturbing_the_live_screen(
 
 
 @pytest.mark.long
+def test_ctrl_d_does_not_make_the_keyboard_deaf(
+    terminal: Callable, write_config: Callable[..., Path], tmp_path: Path
+) -> None:
+    write_config(STEPS, table=TWO_RUNS)
+    (tmp_path / "go").touch()
+    shown = terminal("run", "config.py")
+    shown.wait_for(r"voltage \(V, 9 to 13\): ")
+    shown.child.sendeof()
+    shown.child.sendline("11.8")
+    shown.wait_for(r"remark \(may be left empty\): ")
+    shown.child.sendline("")
+    for _ in range(2):
+        shown.wait_for("Press ENTER when it is done")
+        shown.child.sendeof()
+        shown.child.sendline("")
+    assert shown.finish() == 0
+
+
+@pytest.mark.long
 def test_on_plain_lines_and_from_another_terminal(
     write_config: Callable[..., Path], tmp_path: Path, program: str, robot_runner: Callable
 ) -> None:

@@ -11,9 +11,15 @@ import pytest
 
 from robot_runner.cluster.experiment_snapshot import experiment_of, inputs_of, snapshot_of
 from robot_runner.core.config.preparation import prepare, prepare_or_refuse
+from robot_runner.core.design.asking import DECIDED
+from robot_runner.core.design.batch import Batch, BatchRun
+from robot_runner.core.design.planned_runs import RunOrder
 from robot_runner.core.errors import ConfigError
+from robot_runner.core.execution.task import RunTask
+from robot_runner.core.execution.worker import described_task, task_of
 from robot_runner.core.storage import input_files
 from robot_runner.core.storage.input_files import InputFile
+from robot_runner.core.storage.journal import Journal
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -45,6 +51,14 @@ def test_a_module_in_another_encoding_travels_as_it_is(tmp_path: Path) -> None:
         there = experiment_of(snapshot, tmp_path / "worker")
     assert (there.config_path.parent / neighbour.name).read_bytes() == neighbour.read_bytes()
     assert "Caf\N{LATIN SMALL LETTER E WITH ACUTE}" in next(iter(there.model.factors)).treatments
+
+
+def test_a_worker_has_the_experiment_s_name_though_the_config_makes_another_each_time(tmp_path: Path) -> None:
+    named = CONFIG.replace('"trial"', 'f"trial_{time.time_ns()}"').replace("PLACES)", "[1])")
+    (tmp_path / "study.py").write_text(f"import time\n{named.partition('PLACES')[2]}", encoding="utf-8")
+    here = prepare_or_refuse(tmp_path / "study.py", {})
+    there = experiment_of(json.loads(json.dumps(snapshot_of(here))), tmp_path / "worker")
+    assert there.parameters.experiment_name == here.parameters.experiment_name
 
 
 REVISIONS = """\
@@ -92,6 +106,26 @@ def test_a_file_that_is_too_large_to_travel_has_to_be_the_same_on_the_worker(
     hall.write_text("1,3\n", encoding="utf-8")
     with pytest.raises(ConfigError, match=f"{hall}: there is no copy of it, and the one here is another"):
         inputs_of(kept, tmp_path / "another").__enter__()
+
+
+def test_a_worker_knows_the_treatments_that_a_search_has_chosen_before_it_was_resumed(tmp_path: Path) -> None:
+    (tmp_path / "places_of_this_study.py").write_text("PLACES = [0.1, 0.2]", encoding="utf-8")
+    (tmp_path / "study.py").write_text(CONFIG, encoding="utf-8")
+    journal = tmp_path / "results" / "trial" / "journal.jsonl"
+    journal.parent.mkdir(parents=True)
+    runs = [BatchRun("r_1", {"Place": "0.1"}), BatchRun("r_2", {"Place": "0.15"})]
+    first = Batch(number=1, order=RunOrder(seed=1), repetitions=1, factors={"Place": [0.1, 0.2]}, runs=runs[:1])
+    chosen = {"name": "combination 2", "runs": [runs[1].as_mapping()], "factors": {"Place": [0.1, 0.15, 0.2]}}
+    with Journal(journal) as opened:
+        opened.append(DECIDED, why="", known={}, base=first.as_mapping(), **chosen)
+    with own_modules():
+        here = prepare_or_refuse(tmp_path / "study.py", {})
+        task = RunTask("r_2", 2, 2, 1, here.model.plan()[1].combination, 1, 1, 1)
+        described = json.loads(json.dumps(described_task(here, task)))
+        snapshot = json.loads(json.dumps(snapshot_of(here)))
+    with own_modules():
+        there = experiment_of(snapshot, tmp_path / "worker")
+    assert task_of(there, described).combination == {"Place": 0.15}
 
 
 @contextmanager

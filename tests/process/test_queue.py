@@ -200,6 +200,12 @@ def test_what_is_added_is_told_to_a_program_and_what_is_to_be_dropped_is_named(
     refused = robot_runner("queue", "drop")
     assert refused.code == 2
     assert "NUMBER is missing" in refused.err
+    assert "--ended names all that have ended" in robot_runner("queue", "drop", 2, "--ended").err
+    assert [each.number for each in ExperimentQueue().read()[0]] == [1]
+    timed = config("timed")
+    timed.write_text(timed.read_text().replace("'timed'", 'f"timed_{time.time_ns()}"'))  # its name is kept
+    added = robot_runner("queue", "add", timed, "--json").json
+    assert added["options"] == [f"--set=experiment_name={added['experiment']}"]
 
 
 @pytest.mark.long
@@ -379,7 +385,7 @@ def test_who_takes_out_all_that_have_ended_leaves_one_whose_robot_nobody_has_loo
     assert "1 is out of the queue" in dropped.out
     assert "2 stays in the queue: THE ROBOT MAY BE MOVING; look at it, then name it: " in dropped.out
     assert [each.number for each in queue.read()[0]] == [2]
-    assert "2 is out of the queue" in robot_runner("queue", "drop", 2, "--ended").out
+    assert "2 is out of the queue" in robot_runner("queue", "drop", 2).out
     assert queue.read() == ([], [])
 
 

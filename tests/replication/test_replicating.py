@@ -337,6 +337,15 @@ def test_nothing_is_written_into_the_original(replicated):
 
 
 @pytest.mark.long
+def test_a_name_that_the_config_makes_from_the_time_is_that_of_the_original(tmp_path):
+    named = GROWING.replace('"growing"', "f\"growing_{__import__('time').time_ns()}\"")
+    (tmp_path / "study.py").write_text(named, encoding="utf-8")
+    original = execute(tmp_path / "study.py")
+    again = prepare_replication(original, tmp_path / "again", {}).experiment
+    assert again.folder.root == tmp_path / "again" / original.name
+    assert again.overrides == {}
+
+
 def test_an_experiment_that_was_extended_is_executed_again_with_its_batches(tmp_path):
     config = tmp_path / "study.py"
     config.write_text(GROWING, encoding="utf-8")

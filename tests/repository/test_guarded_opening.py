@@ -67,7 +67,8 @@ OTHERS: dict[str, str] = {
         "the user's own config or module, which is executed anyway": (
             "cli/queueing.py: digest_of",
             "core/execution/manifest_content.py: keep_config_files",
-            "core/execution/resumption.py: config_changes",
+            "core/execution/resumption.py: _changed_files",
+            "cli/commands/run.py: settings_to_resume",
             "notebook/python_config.py: _source",
             "core/config/registered_config.py: _digest",
             "core/config/local_modules.py: _digest",

@@ -322,10 +322,11 @@ def settings(factor: Factor) -> list[Any]:
     span = factor.range
     if span is None:
         return list(factor.treatments)
-    own = dict(zip(factor.texts, factor.treatments, strict=True))  # its own objects, which exclusions compare
+    # Its own objects, which exclusions compare: an end may be 0 where the steps are 0.0, 0.1, and so on.
+    own = {each: each for each in factor.treatments if each is not INACTIVE}
     steps = (span.at(number / span.step_count) for number in range(span.step_count + 1))
-    found = {str(each): own.get(str(each), each) for each in steps}
-    return [*found.values(), *(each for each in factor.treatments if each is INACTIVE)]
+    found = dict.fromkeys(own.get(each, each) for each in steps)
+    return [*found, *(each for each in factor.treatments if each is INACTIVE)]
 
 
 def baseline_findings(where: str, factors: Sequence[Factor], baseline: Mapping[str, Any]) -> Iterator[Finding]:

@@ -40,6 +40,8 @@ from robot_runner.core.words import counted, enumerated, listed
 
 #: The fewest combinations before there is a model; by default two more than twice the number of factors.
 _LEAST_START = 5
+#: More steps of a range take seconds to list, each time that it is decided.
+_MOST_STEPS = 100_000
 #: How long Optuna may take to answer, in s: it takes one or two.
 _PATIENCE = 300.0
 _PROGRAM = "robot_runner.adaptive.optuna_program"
@@ -121,7 +123,7 @@ class Optimise:
         return f"Optimise({', '.join(self.measures)})"
 
     def findings(self, factors: Sequence[Factor]) -> Iterator[Finding]:
-        """Yield errors: nothing to vary, no Optuna, a baseline that does not fit."""
+        """Yield errors: nothing to vary, too many steps, no Optuna, a baseline that does not fit."""
         where = self._where
         if find_spec("optuna") is None:
             problem = "the library Optuna is not installed, which decides where to search"
@@ -129,7 +131,12 @@ class Optimise:
         if all(len(factor.treatments) == 1 for factor in factors):
             problem = "no factor has two treatments, so that there is nothing to search among"
             yield Finding.error(where, problem, "Give a factor the treatments to search among: its range, in steps.")
-        if self.baseline:
+        steps = {factor.name: factor.range.step_count for factor in factors if factor.range is not None}
+        fine = {name: count for name, count in steps.items() if count > _MOST_STEPS}
+        for name, count in fine.items():
+            problem = f"{name} has {count:,} steps, and a search takes {_MOST_STEPS:,} at most"
+            yield Finding.error(where, problem, "Give its range a wider step: Range(lower, upper, step=...).")
+        if self.baseline and not fine:
             yield from baseline_findings(where, factors, self.baseline)
 
     def repetition_findings(self, factors: Sequence[Factor], repetitions: int) -> Iterator[Finding]:
@@ -165,7 +172,8 @@ class Optimise:
         if self.baseline and not is_allowed(baseline_of(factors, self.baseline)):
             problem = "the baseline is a combination that is excluded"
             raise DesignError(problem, where="design", fix="Choose another baseline, or exclude fewer.")
-        return ChosenCombinations([space.combination(places) for places in first], self._facts())
+        combinations = [space.combination(places) for places in first]
+        return ChosenCombinations(combinations, self._facts(), [each.with_chosen(combinations) for each in factors])
 
     def asking(self, factors: Sequence[Factor], is_allowed: IsAllowed, repetitions: int) -> _Search:
         """Return the object that decides where to search next."""

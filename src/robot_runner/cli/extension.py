@@ -27,7 +27,7 @@ from robot_runner.core.design.batches import (
 )
 from robot_runner.core.design.columns import WARM_UP
 from robot_runner.core.design.design import Design
-from robot_runner.core.design.extended_design import Additions, Begun, ExtendedDesign, extended_design
+from robot_runner.core.design.extended_design import Additions, Begun, ExtendedDesign, copies_in, extended_design
 from robot_runner.core.design.factor import Combination, Factor
 from robot_runner.core.design.planned_runs import PlannedRun, RunOrder
 from robot_runner.core.design.run_table_model import RunTableModel
@@ -229,6 +229,7 @@ class _Extending:
             chosen=model.chosen if isinstance(model, GrownRunTableModel) else MappingProxyType({}),
             has_repetition=rows.layout.has_repetition,
             is_by_hand=self._is_by_hand,
+            copies=copies_in(() if self._is_by_hand or self._config.is_full_factorial else self._config.plan()),
         )
 
     def _factor_there(self, column: FactorColumn, runs: Sequence[PlannedRun]) -> Factor:

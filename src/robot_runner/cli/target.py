@@ -121,7 +121,9 @@ def _of_config(path: Path, assignments: Sequence[str], *, takes_older: bool) -> 
     if _is_begun(folder, takes_older=takes_older):
         return folder
     problem = f"this experiment was never executed: there is nothing in {shown_path(folder.root)}"
-    raise StorageError(problem, where=str(path), fix=f"Execute it: {command_line(str(path))}")
+    others = sorted(_experiments(folder.root.parent, 1), key=_changed)  # the config may make its name from the time
+    beside = f", or name the folder of another one: {shown_path(others[-1])}" if others else ""
+    raise StorageError(problem, where=str(path), fix=f"Execute it: {command_line(str(path))}{beside}")
 
 
 #: The results of a config are in a folder of its results folder, so that this many folders lie between.

@@ -15,7 +15,7 @@ from robot_runner.core.config.checks import announced_checks
 from robot_runner.core.config.experiment import Experiment
 from robot_runner.core.config.plugin_checks import check_plugins
 from robot_runner.core.config.preparation import prepare
-from robot_runner.core.design.batches import EXTENDED
+from robot_runner.core.design.batches import GROWTH
 from robot_runner.core.errors import ConfigError, ExecutionError, Finding
 from robot_runner.core.execution.resumption import config_files
 from robot_runner.core.execution.worker import describe_revisions, restore_revisions
@@ -43,8 +43,8 @@ def snapshot_of(experiment: Experiment) -> dict[str, Any]:
             where=experiment.class_name,
             fix="Write the class to a file and give its path.",
         )
-    batches = journal_lines(experiment.folder.journal, kinds={EXTENDED}) if experiment.folder.journal.exists() else ()
-    robot = experiment.parameters.robot
+    batches = journal_lines(experiment.folder.journal, kinds=GROWTH) if experiment.folder.journal.exists() else ()
+    robot, name = experiment.parameters.robot, experiment.parameters.experiment_name
     return {
         "config": experiment.config_path.name,
         # Byte by byte, each as the character of its number: Python reads the encoding from the file itself.
@@ -52,8 +52,12 @@ def snapshot_of(experiment: Experiment) -> dict[str, Any]:
             place.as_posix(): path.read_bytes().decode("latin-1")
             for path, place in config_files(experiment, Path()).items()
         },
-        # The robot that `auto` has found here is the one for the worker, too.
-        "set": {**experiment.overrides, **({"robot": robot} if isinstance(robot, str) else {})},
+        # The robot that `auto` has found here is the one for the worker, too; the name may have the time in it.
+        "set": {
+            **experiment.overrides,
+            "experiment_name": name,
+            **({"robot": robot} if isinstance(robot, str) else {}),
+        },
         "batches": "".join(line.decode("utf-8").rstrip("\n") + "\n" for line in batches),
         "revisions": describe_revisions(experiment.model.factors),
     }

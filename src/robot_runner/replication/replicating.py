@@ -42,7 +42,7 @@ _UNPACKED = "package"
 #: Beside the unpacked package: copies of its input files, which may be written to.
 _WORKING = "files"
 #: A replication never takes its results folder, its cluster or the path of its registration from the original.
-_PATH, _CLUSTER, _REGISTRATION = "results_output_path", "cluster", "registration"
+_NAME, _PATH, _CLUSTER, _REGISTRATION = "experiment_name", "results_output_path", "cluster", "registration"
 #: At most so many differing values are named.
 _NAMED = 8
 
@@ -182,7 +182,9 @@ def prepare_replication(root: Path, target: Path, deviations: Mapping[str, str])
     config = _config(files, manifest)
     with storage_errors(root, "read"):
         PackageError.refuse(missing_modules(root, manifest))
-    settings = {_CLUSTER: "none", **original_settings(manifest), **deviations, _PATH: str(target)}
+    # The config may make its name from the time, and a replication that goes on would be another one.
+    named = {_NAME: str(manifest[_NAME])} if _NAME in manifest else {}
+    settings = {_CLUSTER: "none", **named, **original_settings(manifest), **deviations, _PATH: str(target)}
     if files.registration.exists():
         settings[_REGISTRATION] = str(files.registration)
     _refuse_redacted(settings)
@@ -193,8 +195,8 @@ def prepare_replication(root: Path, target: Path, deviations: Mapping[str, str])
     absent = list(missing_inputs(files.config))
     if preparation.experiment is None:
         raise ConfigError.of_findings([*preparation.findings, *absent])
-    # Its cluster, its results folder and the path of its registration do not count as deviations from the original.
-    own = {_CLUSTER, _PATH, _REGISTRATION} - deviations.keys()
+    # Its cluster, name, results folder and the path of its registration do not count as deviations from the original.
+    own = {_CLUSTER, _NAME, _PATH, _REGISTRATION} - deviations.keys()
     overrides = {name: text for name, text in settings.items() if name not in own}
     experiment = replace(preparation.experiment, replication=facts, overrides=overrides)
     findings = [*preparation.findings, *absent, *_other_values(experiment, manifest, deviations), *_changed(files)]

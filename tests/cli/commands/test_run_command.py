@@ -68,6 +68,20 @@ def test_the_end_tells_how_it_went_and_where_the_results_are(
 
 
 @pytest.mark.long
+def test_an_experiment_whose_name_has_the_time_in_it_goes_on_by_the_command_that_is_told(
+    robot_runner: Callable, write_config: Callable[..., Path], tmp_path: Path
+) -> None:
+    path = write_config(FAILING)
+    path.write_text(path.read_text().replace('"trial"', "f\"trial_{__import__('time').time_ns()}\""))
+    first = robot_runner("run", "config.py")
+    (name,) = (each.name for each in (tmp_path / "results").iterdir())
+    assert f"robot-runner config.py --set experiment_name={name}" in first.out
+    again = robot_runner("run", "config.py", "--set", f"experiment_name={name}")
+    assert f"{name}: 4 runs, 2 of them done before" in again.out
+    assert [each.name for each in (tmp_path / "results").iterdir()] == [name]
+
+
+@pytest.mark.long
 def test_a_failed_run_is_exit_code_1_with_its_reason_and_what_to_do(
     robot_runner: Callable, write_config: Callable[..., Path], tmp_path: Path
 ) -> None:

@@ -135,7 +135,9 @@ def test_parameters_that_were_set_lead_to_the_folder(robot_runner: Callable, wri
     setting = ["--set", "experiment_name=other"]
     assert robot_runner("run", "config.py", *setting).code == 0
     assert "other" in robot_runner("status", "config.py", *setting).out
-    assert robot_runner("status", "config.py").code == 2
+    refused = robot_runner("status", "config.py")
+    assert refused.code == 2
+    assert "Execute it: robot-runner config.py, or name the folder of another one: results/other" in refused.err
 
 
 def test_an_experiment_that_was_never_executed_is_told_how(

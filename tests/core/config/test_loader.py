@@ -111,6 +111,14 @@ def test_where_a_name_is_imported_from_is_told(write_config: Write, line: str, f
     assert refused(write_config(head=f"{line}\nclass RobotRunnerConfig:\n    pass\n"))[0].fix == fix
 
 
+def test_a_neighbour_that_is_called_like_a_module_of_pythons_is_to_be_renamed(
+    write_config: Write, tmp_path: Path
+) -> None:
+    (tmp_path / "queue.py").write_text("orders = []\n")
+    (finding,) = refused(write_config(head="from queue import orders\nclass RobotRunnerConfig:\n    pass\n"))
+    assert finding.fix == f"Rename {tmp_path / 'queue.py'}: Python's own module of that name was imported instead."
+
+
 def test_neighbours_of_the_config_can_be_imported_and_are_known(write_config: Write, tmp_path: Path) -> None:
     (tmp_path / "neighbour_module.py").write_text("NAME = 'from next door'\n")
     head = "import neighbour_module\nclass RobotRunnerConfig:\n    experiment_name = neighbour_module.NAME\n"

@@ -8,6 +8,7 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
+from zipfile import ZipFile
 
 import pytest
 
@@ -127,6 +128,18 @@ def test_modules_are_kept_from_a_folder_that_is_named_by_dots(
     text = CONFIG.format(elsewhere=elsewhere, module="shared_words")
     config = written(tmp_path, {"study/config.py": text}) / "study" / "config.py"
     assert places(config) == {place: tmp_path / where}
+
+
+def test_modules_in_an_archive_or_without_their_file_are_imported_and_not_kept(tmp_path: Path) -> None:
+    archive = tmp_path / "parts.zip"
+    with ZipFile(archive, "w") as file:
+        file.writestr("part_of_archive.py", "NAME = 'archived'")
+    written(tmp_path, {"gone_soon.py": "from pathlib import Path\nPath(__file__).unlink()"})
+    text = CONFIG.format(elsewhere=str(archive), module="part_of_archive, gone_soon")
+    written(tmp_path, {"config.py": text.replace("pass", "experiment_name = part_of_archive.NAME")})
+    loaded = load_config(tmp_path / "config.py")
+    assert loaded.config.experiment_name == "archived"
+    assert loaded.local_modules == {}
 
 
 @pytest.mark.parametrize("program", ["../bin/robot-runner", ".venv/bin/robot-runner"])

@@ -114,6 +114,8 @@ def test_an_answer_has_the_type_of_its_question(question: Question, text: str, v
         (Question("a", float), "inf", "'inf' is not finite"),
         (Question("a", float), "11_8", "'11_8' is not a number"),  # in Python, but what was meant is 11.8
         (Question("a", int), "1_1", "'1_1' is not a whole number"),
+        (Question("a", float), "11,8", "'11,8' is not a number: its decimals stand behind a point"),
+        (Question("a", int), "1,180", "'1,180' is not a whole number"),
         (Question("a", int), "9" * 5000, "is not a whole number"),
         (Question("a", int), "9" * 400, "'9{400}' is not finite"),
     ],

@@ -6,6 +6,7 @@ import itertools
 import pickle
 import re
 from decimal import Decimal
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -188,6 +189,12 @@ def test_an_object_that_shows_its_address_is_refused_and_told_how_to_show_itself
     assert "shows a memory address, so it could not be recognised when resuming" in finding
     assert finding.endswith("→ Give its class a __str__ (Nameless).")
     assert Factor("Task", ["at 0x1f, and not an object at 0x1f"]).texts  # a text may say what it likes
+
+
+def test_of_a_function_as_treatment_it_is_said_what_to_give_in_its_place() -> None:
+    found = findings_of("Planner", [lambda: 1, partial(lambda: 1)])
+    assert len(found) == 2
+    assert all(each.endswith("→ Give a text in its place, by which a callback finds the function.") for each in found)
 
 
 def test_a_set_as_treatment_is_refused_as_it_is_written_in_any_order() -> None:

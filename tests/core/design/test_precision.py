@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from robot_runner.core.design.precise_estimates import Judgement, Observed, judge
+from robot_runner.core.design.asking import Told
+from robot_runner.core.design.factor import Factor
+from robot_runner.core.design.numeric_range import Range
+from robot_runner.core.design.precise_estimates import Judgement, Observed, UntilPrecise, judge, uncompared
 from robot_runner.core.design.precision import (
     PreciseOf,
     Precision,
@@ -16,7 +20,9 @@ from robot_runner.core.design.precision import (
     rules_of_mapping,
 )
 from robot_runner.core.design.repeated_intervals import half_width_of, level_at_each_look
+from robot_runner.core.design.run_table_model import RunTableModel
 from robot_runner.core.errors import DesignError
+from robot_runner.designs import CentralComposite
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -206,3 +212,23 @@ def test_treatments_of_different_batches_have_no_difference() -> None:
     later = [Observed(f"later_{each.run_id}", each.treatments, each.repetition + 6, each.value, 3) for each in observed]
     known = {each.of: each.n for each in judge(rule, (5, 30), 12, [*observed, *later]).known}
     assert known == {"a - b": 12, "1 - 2": 12, "1 - 3": 6, "2 - 3": 6}
+
+
+def test_another_repetition_of_a_surface_has_all_its_centre_points() -> None:
+    factors = [Factor(name, Range(0, 1, step=0.1)) for name in "XY"]
+    model = RunTableModel(factors, repetitions=3, design=CentralComposite(centre=4))
+    told = [Told(run, {"Energy": float(run.number)}) for run in model.plan()]
+    decision = UntilPrecise([rule(at_most=4)], model.factors, 3).ask(told)
+    planned = [run.combination.texts for run in model.plan() if run.repetition == 1]
+    assert Counter(combination.texts for combination, _ in decision.runs) == Counter(planned)
+    assert {repetition for _, repetition in decision.runs} == {4}
+
+
+def test_differences_that_no_two_runs_have_are_warned_of() -> None:
+    factors = [Factor("Robot", ["a", "b"]), Factor("Gripper", ["u", "v"], when={"Robot": "a"})]
+    combinations = [run.combination for run in RunTableModel(factors).plan()]
+    (finding,) = uncompared("repeat_until", [rule(of="differences")], combinations)
+    assert finding.problem.endswith("differ in other factors, too: a - b of Robot")
+    assert not [*uncompared("repeat_until", [rule()], combinations)]
+    crossed = RunTableModel([factors[0], Factor("Floor", ["wood", "tiles"])]).plan()
+    assert not [*uncompared("repeat_until", [rule(of="differences")], (run.combination for run in crossed))]

@@ -463,6 +463,37 @@ class RobotRunnerConfig(ExperimentConfig):
 
 
 @pytest.mark.long
+def test_a_fresh_interpreter_executes_no_other_config_than_the_one_with_which_the_experiment_began(
+    execute: Execute,
+) -> None:
+    body = """
+    def before_run(self, context):
+        was, is_now = {1: ("LOAD = 1", "LOAD = 1  # kg"), 2: ("LOAD = 1", "LOAD = 5")}.get(context.run_number, "  ")
+        file = Path(__file__)
+        file.write_text(file.read_text().replace(was, is_now, 1))
+    def populate_run_data(self, context): return {"Energy": LOAD}
+    """
+    executed = execute(body, head=f"LOAD = 1\n{HEAD}", run_process="spawn")
+    assert [row["Energy"] for row in executed.table] == ["1", "", "", ""]
+    assert all("the line was 'LOAD = 1' and is 'LOAD = 5  # kg'" in each for each in executed.finished.failures)
+
+
+@pytest.mark.long
+def test_a_fresh_interpreter_has_the_experiment_s_name_though_the_config_makes_another_each_time(
+    execute: Execute,
+) -> None:
+    body = """
+    experiment_name = f"trial_{time.time_ns()}"
+    def launch_mission(self, context): print("moved")
+    def populate_run_data(self, context): return {"Energy": context.experiment_name == context.experiment_folder.name}
+    """
+    executed = execute(body, head=f"import time\n{HEAD}", run_process="spawn", table=ONE_RUN)
+    assert [row["Energy"] for row in executed.table] == ["True"]
+    assert (executed.folder / "runs" / "r_1" / "log.txt").read_text() == "moved\n"
+    assert list(executed.folder.parent.iterdir()) == [executed.folder]
+
+
+@pytest.mark.long
 def test_a_fresh_interpreter_takes_its_library_from_python_whatever_the_folder_that_it_is_started_in_has(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

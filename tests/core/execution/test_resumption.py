@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from tests.conftest import HEAD
 
 from robot_runner.core.config.preparation import prepare_or_refuse
 from robot_runner.core.errors import ExecutionError, StorageError
@@ -160,6 +161,34 @@ def test_a_change_of_what_is_installed_as_it_stands_is_told(
     assert manifest_content.changed_circumstances(manifest) == {"code of package lab-tools": {"was": "a1", "is": "b2"}}
     monkeypatch.setattr(manifest_content, "editable_code", dict)  # it is not imported any more
     assert manifest_content.changed_circumstances(manifest) == {}
+
+
+def test_a_file_that_runs_read_and_that_is_edited_while_they_are_executed_is_told(execute: Execute) -> None:
+    body = """
+    run_process = RunProcess.IN_PROCESS
+    rooms = Path(__file__).with_name("rooms.yaml")
+    rooms.write_text("hall")
+    def input_files(self): return [InputFile(self.rooms)]
+    def launch_mission(self, context): context.run_number == 2 and self.rooms.write_text("kitchen")
+    """
+    executed = execute(body, head=f"from pathlib import Path\nfrom robot_runner.plugins import InputFile\n{HEAD}")
+    rooms = str(executed.config.with_name("rooms.yaml"))
+    (told,) = (each for each in executed.finished.findings if each.where == rooms)
+    assert told.problem.startswith("changed while the experiment was executed: ")
+
+
+@pytest.mark.long
+def test_a_module_that_callbacks_import_and_that_is_edited_meanwhile_is_told(execute: Execute, tmp_path: Path) -> None:
+    (tmp_path / "drives_of_this_test.py").write_text("SPEED = 1\n")
+    body = """
+    def launch_mission(self, context):
+        import drives_of_this_test
+        if context.run_number == 2: Path(drives_of_this_test.__file__).write_text("SPEED = 2\\n")
+        if context.run_number == 3: Path(__file__).write_text("# as loaded when it began")
+    """
+    executed = execute(body, head=f"from pathlib import Path\n{HEAD}")
+    told = [each for each in executed.finished.findings if "changed while" in each.problem]
+    assert [each.where for each in told] == [f"{tmp_path / 'drives_of_this_test.py'}:1"]
 
 
 def test_a_changed_config_can_be_accepted_and_both_are_kept(execute: Execute, write_config: Write) -> None:

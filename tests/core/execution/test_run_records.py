@@ -47,6 +47,11 @@ def test_what_a_run_publishes_in_its_evaluation_crosses_the_pipe_in_one_write_an
     os.close(reading)
 
 
+def test_an_error_without_words_is_told_by_its_type_alone() -> None:
+    assert failure_fields(AssertionError())["problem"] == "AssertionError"
+    assert failure_fields(AssertionError("no map"))["problem"] == "AssertionError: no map"
+
+
 def test_a_run_that_asks_its_user_is_told_who_asks_instead() -> None:
     problem = failure_fields(EOFError("EOF when reading a line"))["problem"]
     assert problem.startswith("EOFError: EOF when reading a line (nobody can type into a run: ")

@@ -99,6 +99,7 @@ def _add(arguments: Namespace, parser: Parser) -> int:
     show_findings([*run.under_given_names(preparation.findings, arguments), *refused])
     if experiment is None or refused:
         return REFUSED
+    arguments.set = run.settings_to_resume(arguments, experiment)
     config = str(Path(arguments.config).absolute())
     parameters = experiment.parameters
     queue = ExperimentQueue()
@@ -212,18 +213,18 @@ def _as_json(queued: QueuedExperiment, state: str, more: str) -> dict[str, Any]:
 
 def _drop(arguments: Namespace) -> int:
     queue = ExperimentQueue()
+    if arguments.ended and arguments.numbers:
+        raise UsageError("--ended names all that have ended", where=f"{_WHERE} drop", fix="Leave one of them out.")
+    if not (arguments.ended or arguments.numbers):
+        raise UsageError("NUMBER is missing", where=f"{_WHERE} drop", fix="See `robot-runner queue list`.")
     ended = [each for each in queue.read()[0] if each.has_ended] if arguments.ended else []
     moving = [each.number for each in ended if each.may_have_left_a_robot_moving]
-    numbers = list(dict.fromkeys([*arguments.numbers, *(each.number for each in ended if each.number not in moving)]))
-    if not numbers and not arguments.ended:
-        raise UsageError("NUMBER is missing", where=f"{_WHERE} drop", fix="See `robot-runner queue list`.")
-    for number in numbers:
+    for number in dict.fromkeys([*arguments.numbers, *(each.number for each in ended if each.number not in moving)]):
         queue.drop(number)
         print(f"{number} is out of the queue")
     for number in moving:
-        if number not in numbers:
-            look = f"look at it, then name it: robot-runner queue drop {number}"
-            print(f"{number} stays in the queue: {MAY_BE_MOVING}; {look}")
+        look = f"look at it, then name it: robot-runner queue drop {number}"
+        print(f"{number} stays in the queue: {MAY_BE_MOVING}; {look}")
     return 0
 
 

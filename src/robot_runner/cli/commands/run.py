@@ -6,10 +6,11 @@ Runs that are done are not executed again. Exit code 0: all runs are done; 1: so
 
 from __future__ import annotations
 
+import re
 import sys
 from argparse import Namespace
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, redirect_stdout
+from contextlib import contextmanager, redirect_stdout, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -19,7 +20,7 @@ from robot_runner.cli.console import command_line, output, print_json
 from robot_runner.cli.executing import Execution, execute_on_screen, page_beside, read_or_not
 from robot_runner.cli.findings import as_json, show_findings
 from robot_runner.cli.guard import REFUSED
-from robot_runner.cli.parser import RUNS_HELP, Parser, add_config, add_json, add_set
+from robot_runner.cli.parser import RUNS_HELP, Parser, UsageError, add_config, add_json, add_set
 from robot_runner.cli.screens.ending import print_outcome
 from robot_runner.cli.screens.plain import terminal_input
 from robot_runner.core.config.experiment import Experiment
@@ -30,6 +31,8 @@ from robot_runner.core.execution.left_systems import robots_left
 from robot_runner.core.execution.resumption import Resumption, TableChoice, TableDisagreementError, config_changes
 from robot_runner.core.secret_names import shown_assignments
 
+#: What a name has where the time is a part of it: 2026, 12:30, 12-30.
+_OF_TIME = re.compile(r"\d\d\D?\d\d")
 #: Options that stand for a static parameter.
 _SHORTCUTS = ("cluster", "workers")
 #: The options that choose runs, and what becomes of those that are chosen.
@@ -92,10 +95,30 @@ def add_arguments(parser: Parser) -> None:
 
 
 def apply_shortcuts(arguments: Namespace) -> None:
-    """Take options that stand for a static parameter as if given by `--set`."""
+    """Take options that stand for a static parameter as if given by `--set`.
+
+    Raises:
+        UsageError: the parameter is given by `--set`, too.
+    """
     for name in _SHORTCUTS:
         if (given := getattr(arguments, name)) is not None:
+            if name in parse_assignments(arguments.set):
+                raise UsageError(f"--set {name} is given, too", where=f"--{name} {given}", fix="Leave one of them out.")
             arguments.set = [*arguments.set, f"{name}={given}"]
+
+
+def settings_to_resume(arguments: Namespace, experiment: Experiment) -> list[str]:
+    """Return the assignments of `--set` by which a later command means this experiment.
+
+    Where the config makes its name or folder from the time, they are others then, and so among the assignments.
+    """
+    known = str(experiment.config_path)
+    with suppress(OSError):
+        known += experiment.config_path.read_text(encoding="utf-8", errors="replace")
+    own = {name: str(getattr(experiment.parameters, name)) for name in ("experiment_name", "results_output_path")}
+    made = (name for name, value in own.items() if any(each not in known for each in _OF_TIME.findall(value)))
+    given = parse_assignments(arguments.set)
+    return [*arguments.set, *(f"{name}={own[name]}" for name in made if name not in given)]
 
 
 def under_given_names(findings: Sequence[Finding], arguments: Namespace) -> tuple[Finding, ...]:
@@ -137,7 +160,8 @@ def prepare_and_execute(arguments: Namespace) -> tuple[int, dict[str, Any]]:
         return REFUSED, _refused(findings)
     with _page(arguments, preparation.experiment):
         execution = _execute(arguments, preparation.experiment, findings)
-    settings = [word for each in shown_assignments(arguments.set) for word in ("--set", each)]
+    resuming = shown_assignments(settings_to_resume(arguments, preparation.experiment))
+    settings = [word for each in resuming for word in ("--set", each)]
     command = command_line(arguments.config, *settings)
     with read_or_not():
         if execution.finished:

@@ -21,6 +21,7 @@ from robot_runner.core.config.registered_config import take_registered_seed
 from robot_runner.core.design.asking import AdaptiveDesign, decides_order
 from robot_runner.core.design.batches import as_configured
 from robot_runner.core.design.design_findings import listed_elsewhere
+from robot_runner.core.design.precise_estimates import uncompared
 from robot_runner.core.design.precision import precision_findings
 from robot_runner.core.design.run_table_model import RunTable, RunTableModel
 from robot_runner.core.errors import (
@@ -117,7 +118,9 @@ def check_repeat_until(
         problem = "the design decides on the runs and their order, and has no place for a repetition more"
         return [Finding.error(where, problem, "Leave repeat_until out, or take a design that leaves order open.")]
     if not isinstance(own.design, AdaptiveDesign):
-        return list(precision_findings(where, parameters.repeat_until, own.repetitions, units))
+        executed = () if own.is_too_large else (run.combination for run in own.plan())
+        found = precision_findings(where, parameters.repeat_until, own.repetitions, units)
+        return [*found, *uncompared(where, parameters.repeat_until, executed)]
     place = f"{loaded.where}.create_run_table, design"
     missing = [name for name in own.design.measures if name not in units]
     findings = [

@@ -13,8 +13,7 @@ from typing import Any
 from robot_runner.core.config.loader import LoadedConfig
 from robot_runner.core.config.parameters import Parameters
 from robot_runner.core.config.plugin_checks import with_each_treatment
-from robot_runner.core.design.asking import DECIDED
-from robot_runner.core.design.batches import EXTENDED, REPEATED, GrownRunTableModel, batches_of
+from robot_runner.core.design.batches import GROWTH, GrownRunTableModel, batches_of
 from robot_runner.core.design.columns import WARM_UP
 from robot_runner.core.design.run_table_model import RunTableModel
 from robot_runner.core.entry_points import instances_of
@@ -123,7 +122,7 @@ def extended_model(model: RunTableModel, folder: ExperimentFolder) -> RunTableMo
     """
     if not folder.journal.exists():
         return model
-    batches = batches_of(read_journal(folder.journal, kinds={EXTENDED, REPEATED, DECIDED}))
+    batches = batches_of(read_journal(folder.journal, kinds=GROWTH))
     return GrownRunTableModel(model, batches) if batches else model
 
 

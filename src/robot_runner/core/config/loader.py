@@ -271,6 +271,9 @@ def _fix_of_import(error: BaseException) -> str:
     if told is None:
         return ""
     name, module = told["name"], told["module"]
+    neighbour = Path(traceback.extract_tb(error.__traceback__)[-1].filename).with_name(f"{module}.py")
+    if module in sys.stdlib_module_names and neighbour.exists():
+        return f"Rename {neighbour}: Python's own module of that name was imported instead."
     doors = _DOORS if module.partition(".")[0] == "robot_runner" else ()
     homes = [door for door in doors if name in dir(importlib.import_module(door))]
     if homes:

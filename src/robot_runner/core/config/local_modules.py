@@ -40,7 +40,8 @@ def local_modules_among(config: Path, names: set[str]) -> dict[Path, Path]:
     folder = config.parent
     # `__mp_main__`, the main program under `multiprocessing`, may be below the config's folder, but is not part of it.
     files = {_file_of(sys.modules.get(name)) for name in names - {"__mp_main__"}}
-    loaded = {path for path in files if path is not None and is_local(path, folder)}
+    # What stands in an archive, or removed itself once it was imported, is no file.
+    loaded = {path for path in files if path is not None and is_local(path, folder) and path.is_file()}
     found = imported_files({path: path.relative_to(folder) for path in (config, *loaded)}, folder)
     del found[config]
     return dict(sorted(found.items()))
@@ -171,8 +172,8 @@ def _files_of(module: str, places: Sequence[str], within: Path) -> Iterator[tupl
         if spec is None:
             return
         within /= part
-        if spec.origin is not None:
-            path = Path(spec.origin)
+        path = Path(spec.origin or "")
+        if path.is_file():
             yield path, within / _PACKAGE if path.name == _PACKAGE else within.with_name(path.name)
         places = list(spec.submodule_search_locations or ())
 

@@ -115,7 +115,8 @@ class Question:
         try:
             number = self.kind(said.replace("_", "?"))  # Python reads 11_8, a slip for 11.8, as 118
         except ValueError:
-            raise self._refusal(f"{said!r} is not a {_TYPE_NAMES[self.kind]}") from None
+            comma = ": its decimals stand behind a point" if self.kind is float and "," in said else ""
+            raise self._refusal(f"{said!r} is not a {_TYPE_NAMES[self.kind]}{comma}") from None
         if not is_number(number):
             raise self._refusal(f"{said!r} is not finite")
         return number

@@ -179,7 +179,9 @@ class StaticParameters:
         default=True,
     )
     run_deadline_in_s: float | None = _declare(
-        "How long a run may take, in seconds of real time; None for no limit.", kinds.SECONDS.or_none(), None
+        "How long a run may take from its first event on, in seconds of real time; None for no limit.",
+        kinds.SECONDS.or_none(),
+        None,
     )
     event_deadline_in_s: float | None = _declare(
         "How long one event may take, in seconds of real time; None for no limit. It holds for the events of the "

@@ -14,10 +14,10 @@ from itertools import count
 from re import fullmatch
 from typing import Any
 
-from robot_runner.core.design.asking import Decision
+from robot_runner.core.design.asking import DECIDED, Decision
 from robot_runner.core.design.batch import Batch, BatchRun, plain_treatment
 from robot_runner.core.design.columns import REPETITION, numbered_run_id
-from robot_runner.core.design.extended_design import Begun, ExtendedDesign, typed
+from robot_runner.core.design.extended_design import Begun, ExtendedDesign, treatments_of, typed
 from robot_runner.core.design.factor import Combination, Factor, factor_places, texts_of
 from robot_runner.core.design.listed_runs import run_findings
 from robot_runner.core.design.planned_runs import PlannedRun, RunOrder, arranged
@@ -29,6 +29,8 @@ from robot_runner.core.errors import DesignError
 EXTENDED = "extended"
 #: The kind of the record of a further repetition; the first one has the first plan, unless an extension has it.
 REPEATED = "repeated"
+#: The kinds of all records from which `batches_of` makes the plan.
+GROWTH = frozenset({EXTENDED, REPEATED, DECIDED})
 
 
 def batches_of(records: Iterable[Mapping[str, Any]]) -> tuple[Batch, ...]:
@@ -274,7 +276,8 @@ def missing_runs(runs: Iterable[PlannedRun], design: ExtendedDesign) -> Iterator
         taken = there[design.texts_of(combination)]
         free = (each for each in count(1) if each not in taken)
         numbers = [next(free) for _ in range(design.repetitions - len(taken))]
-        wanted += [(number, Combination(places, tuple(combination[name] for name in names))) for number in numbers]
+        own = Combination(places, tuple(combination[name] for name in names))
+        wanted += [(number, own) for number in numbers for _ in range(max(1, design.copies[treatments_of(own)]))]
     for number, combination in sorted(wanted, key=lambda each: each[0]):  # stable: combinations as written
         yield combination, number
 

@@ -16,7 +16,7 @@ from typing import Any
 from robot_runner.core.design.asking import decides_order
 from robot_runner.core.design.columns import REPETITION
 from robot_runner.core.design.design_findings import MAX_RUNS
-from robot_runner.core.design.factor import Combination, Factor
+from robot_runner.core.design.factor import Combination, Factor, texts_of
 from robot_runner.core.design.listed_runs import ListedRunTableModel
 from robot_runner.core.design.planned_runs import PlannedRun
 from robot_runner.core.design.run_table_model import RunTableModel
@@ -64,6 +64,7 @@ class Begun:
         chosen: the treatments that were added on the command line, as text, by factor.
         has_repetition: whether the table counts repetitions; if not, runs of one combination are counted here.
         is_by_hand: whether the runs were written into the table by hand, so that the config does not plan them.
+        copies: how often each repetition has a combination, as `copies_in`; once where it is not named.
     """
 
     factors: tuple[Factor, ...]
@@ -71,24 +72,37 @@ class Begun:
     chosen: Mapping[str, Sequence[str]]
     has_repetition: bool
     is_by_hand: bool
+    copies: Counter[frozenset[tuple[str, str]]] = field(default_factory=Counter)
 
     @property
     def counted_runs(self) -> list[PlannedRun]:
         """The runs with the number of each repetition, also where the table has no such column."""
         if self.has_repetition:
             return list(self.runs)
-        seen: Counter[tuple[str, ...]] = Counter()
+        seen: Counter[frozenset[tuple[str, str]]] = Counter()
         counted = []
         for run in self.runs:
+            key, which = treatments_of(run.combination), 0
             if not run.is_warm_up:
-                seen[run.combination.texts] += 1
-            counted.append(run if run.is_warm_up else run._replace(repetition=seen[run.combination.texts]))
+                which = 1 + seen[key] // max(1, self.copies[key])
+                seen[key] += 1
+            counted.append(run._replace(repetition=which))
         return counted
 
     @property
     def repetitions(self) -> int:
         """How often the combination that has most is repeated."""
         return max((run.repetition for run in self.counted_runs), default=1)
+
+
+def treatments_of(combination: Combination) -> frozenset[tuple[str, str]]:
+    """Return the treatments of a combination as text, in no order."""
+    return frozenset(texts_of(combination).items())
+
+
+def copies_in(runs: Iterable[PlannedRun]) -> Counter[frozenset[tuple[str, str]]]:
+    """Return how often each repetition of a plan has a combination: the centre of a response surface several times."""
+    return Counter(treatments_of(run.combination) for run in runs if run.repetition == 1)
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,6 +115,7 @@ class ExtendedDesign:
         repetitions: how often each of these is executed, all batches together.
         defaults: for each new factor, the treatment that is assumed for earlier runs.
         chosen: the treatments that were added on the command line, as text, by factor.
+        copies: as `Begun.copies`.
     """
 
     factors: tuple[Factor, ...]
@@ -108,6 +123,7 @@ class ExtendedDesign:
     repetitions: int
     defaults: Mapping[str, Any]
     chosen: Mapping[str, Sequence[str]]
+    copies: Counter[frozenset[tuple[str, str]]] = field(default_factory=Counter)
 
     def texts_of(self, combination: Mapping[str, Any]) -> tuple[str, ...]:
         """Return the treatments of a combination as text, in the order of the factors, defaults where it lacks some."""
@@ -169,7 +185,7 @@ class _Extending:
         defaults = {name: _own_treatment(factors, name, self._added.factors[name].default) for name in self._new}
         repetitions = self._added.repetitions or max(self._begun.repetitions, self._repetitions_of_config)
         combinations = self._combinations(factors, all_chosen)
-        return ExtendedDesign(factors, combinations, repetitions, defaults, {name: chosen[name] for name in chosen})
+        return ExtendedDesign(factors, combinations, repetitions, defaults, chosen, self._begun.copies)
 
     @property
     def _new(self) -> list[str]:

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from copy import deepcopy
 from dataclasses import dataclass, field
+from functools import partial
 from itertools import islice
+from types import FunctionType, MethodType
 from typing import Any
 
 from robot_runner.core.design.columns import name_findings
@@ -61,7 +64,9 @@ def _text_or_finding(where: str, treatment: Any) -> str | Finding:
         return Finding.error(where, problem, "Leave it out.")
     if not isinstance(treatment, str) and _ADDRESS.search(text):
         problem = f"treatment {text} shows a memory address, so it could not be recognised when resuming"
-        return Finding.error(where, problem, f"Give its class a __str__ ({kind}).")
+        is_function = isinstance(treatment, FunctionType | MethodType | partial)
+        fix = "Give a text in its place, by which a callback finds the function." if is_function else ""
+        return Finding.error(where, problem, fix or f"Give its class a __str__ ({kind}).")
     if isinstance(treatment, set | frozenset) and len(treatment) > 1:
         problem = f"treatment {text} is a set: its elements are written in another order by each process"
         return Finding.error(where, problem, "Give a tuple or a sorted list.")
@@ -165,6 +170,14 @@ class Factor:
         changed = Factor(self.name, treatments, unit=self.unit, when=self.when or None)
         object.__setattr__(changed, "range", self.range)
         return changed
+
+    def with_chosen(self, combinations: Iterable[Mapping[str, Any]]) -> Factor:
+        """Return the factor of a range with the treatments of these combinations, too; any other as it is."""
+        if self.range is None:
+            return self
+        chosen = {str(each[self.name]): each[self.name] for each in combinations}
+        found = {**chosen, **dict(zip(self.texts, self.treatments, strict=True))}.values()
+        return self.with_treatments(sorted(found, key=lambda each: math.inf if each is INACTIVE else each))
 
     @classmethod
     def revisions(cls, name: str, repository: Any, revisions: Iterable[str], *, build: str = "") -> Factor:

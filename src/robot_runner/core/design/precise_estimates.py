@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from itertools import chain
 from itertools import combinations as pairs_of
@@ -12,13 +12,14 @@ from typing import Any
 
 from robot_runner.core.design.asking import Decision, Told
 from robot_runner.core.design.batches import REPEATED, missing_runs
-from robot_runner.core.design.extended_design import ExtendedDesign
+from robot_runner.core.design.extended_design import ExtendedDesign, copies_in
 from robot_runner.core.design.factor import Combination, Factor, texts_of
 from robot_runner.core.design.numeric_range import is_number
 from robot_runner.core.design.planned_runs import PlannedRun
 from robot_runner.core.design.precision import PreciseOf, Precision, most_repetitions
 from robot_runner.core.design.repeated_intervals import half_width_of, level_at_each_look
-from robot_runner.core.words import combination_label, counted
+from robot_runner.core.errors import Finding
+from robot_runner.core.words import INACTIVE, combination_label, counted, listed
 
 #: At how many looks in a row everything has to be precise, as an interval may be narrow by chance: tests at 5 % err in
 #: up to 9 % at the first such look, and in 5 to 6.5 % after three more repetitions (`python -m benchmarks statistics`).
@@ -188,22 +189,45 @@ def _differences(rule: Precision, level: float, observed: Sequence[Observed]) ->
     changes from one repetition to the next cancel, and spreads need not be equal (Scheffe, On solutions of the
     Behrens-Fisher problem, Annals of Mathematical Statistics 14, 1943). Runs of different batches are not compared.
     """
-    factors = list(observed[0].treatments) if observed else []
     values = {(tuple(run.treatments.items()), run.repetition): (run.value, run.batch) for run in observed}
     batches: defaultdict[Treatments, set[int]] = defaultdict(set)
     for run in observed:
         batches[tuple(run.treatments.items())].add(run.batch)
-    for factor in factors:
+    for _, one, other, pairs in _compared(batches):
+        same = [pair for pair in pairs if not batches[pair[0]].isdisjoint(batches[pair[1]])]
+        if same:
+            differences, all_values = _within_repetitions(values, *zip(*same, strict=True))
+            yield _known(rule, level, f"{one} - {other}", differences, all_values)
+
+
+def _compared(
+    combinations: Collection[Treatments],
+) -> Iterator[tuple[str, str, str, list[tuple[Treatments, Treatments]]]]:
+    """Yield each factor with any two of its treatments, and the pairs of combinations that differ in these alone."""
+    for factor in dict(next(iter(combinations), ())):
         others: defaultdict[str, dict[Treatments, Treatments]] = defaultdict(dict)
-        for run in observed:
-            rest = tuple(item for item in run.treatments.items() if item[0] != factor)
-            others[run.treatments[factor]][rest] = tuple(run.treatments.items())
+        for each in combinations:
+            rest = tuple(item for item in each if item[0] != factor)
+            others[dict(each)[factor]][rest] = each
         for one, other in pairs_of(others, 2):
             pairs = [(others[one][rest], others[other][rest]) for rest in others[one] if rest in others[other]]
-            same = [pair for pair in pairs if not batches[pair[0]].isdisjoint(batches[pair[1]])]
-            if same:
-                differences, all_values = _within_repetitions(values, *zip(*same, strict=True))
-                yield _known(rule, level, f"{one} - {other}", differences, all_values)
+            yield factor, one, other, pairs
+
+
+def uncompared(where: str, rules: Sequence[Precision], combinations: Iterable[Combination]) -> Iterator[Finding]:
+    """Yield a warning of the differences that rules do not look at, as where another factor applies to some runs only.
+
+    Args:
+        where: the place of the rules.
+        rules: those of `repeat_until`.
+        combinations: all that are executed; read only where differences are asked for.
+    """
+    if any(rule.of is PreciseOf.DIFFERENCES for rule in rules):
+        known = dict.fromkeys(tuple(texts_of(each).items()) for each in combinations)
+        pairs = (each for each in _compared(known) if not (each[3] or str(INACTIVE) in each[1:3]))
+        if names := [f"{one} - {other} of {factor}" for factor, one, other, _ in pairs]:
+            problem = f"differences are not looked at whose runs differ in other factors, too: {listed(names)}"
+            yield Finding.warning(where, problem, 'Ask for the means (of="means"), in which these runs count.')
 
 
 def _within_repetitions(
@@ -282,7 +306,8 @@ class UntilPrecise:
 
     def _next(self, runs: Sequence[PlannedRun], repetitions: int) -> Iterator[tuple[Combination, int]]:
         combinations = {run.combination.texts: run.combination for run in runs}
-        design = ExtendedDesign(tuple(self._factors), list(combinations.values()), repetitions, {}, {})
+        factors, copies = tuple(self._factors), copies_in(runs)
+        design = ExtendedDesign(factors, list(combinations.values()), repetitions, {}, {}, copies)
         return missing_runs(runs, design)
 
 

@@ -6,7 +6,6 @@ with the same plan; where the kill came before, the same is asked again, and ans
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Protocol
@@ -24,7 +23,6 @@ from robot_runner.core.design.batches import (
 )
 from robot_runner.core.design.columns import WARM_UP
 from robot_runner.core.design.extended_design import Begun, ExtendedDesign
-from robot_runner.core.design.factor import Factor
 from robot_runner.core.design.outliers import Doubtful
 from robot_runner.core.design.planned_runs import PlannedRun, RunOrder
 from robot_runner.core.design.precise_estimates import UntilPrecise
@@ -37,7 +35,6 @@ from robot_runner.core.execution.task import seed_of_run
 from robot_runner.core.storage.cells import RunStatus
 from robot_runner.core.storage.journal import utc_now
 from robot_runner.core.storage.run_table_rows import RunTableRows
-from robot_runner.core.words import INACTIVE
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,8 +151,9 @@ class Deciding:
             yield Told(run, own, is_excluded or is_doubtful, is_doubtful)
 
     def _grown(self, rows: RunTableRows, decision: Decision) -> Growth:
+        combinations = [*(run.combination for run in rows.planned), *(combination for combination, _ in decision.runs)]
         begun = Begun(
-            factors=tuple(_with_used(each, rows, decision) for each in self._model.factors),
+            factors=tuple(each.with_chosen(combinations) for each in self._model.factors),
             runs=list(rows.planned),
             chosen={},
             has_repetition=rows.layout.has_repetition,
@@ -189,13 +187,3 @@ class Deciding:
     def _order(self, seed: int, blocks: str | None = None) -> RunOrder:
         blocks = blocks or self._config.blocks
         return RunOrder(shuffle=self._config.shuffle, blocks=blocks, seed=seed, seed_is_given=True)
-
-
-def _with_used(factor: Factor, rows: RunTableRows, decision: Decision) -> Factor:
-    """Return a factor with all treatments that runs have: of a range, the design chooses them."""
-    if factor.range is None:
-        return factor
-    combinations = (*(run.combination for run in rows.planned), *(combination for combination, _ in decision.runs))
-    used = {str(each[factor.name]): each[factor.name] for each in combinations}
-    found = {**used, **dict(zip(factor.texts, factor.treatments, strict=True))}.values()
-    return factor.with_treatments(sorted(found, key=lambda each: math.inf if each is INACTIVE else each))

@@ -303,6 +303,8 @@ class _Supervision:
             if kind == "event":
                 self._event_started = time.monotonic()
                 self._leave_by = None
+                if not self._builder.event:  # the first one: a fresh interpreter has loaded the config by now
+                    self._started = self._event_started
             elif kind == "mission_stopped" or fields.get("ends_event"):
                 reason = fields["reason" if kind == "mission_stopped" else "problem"]
                 self._leave_by = self._leave_by or (time.monotonic() + self._grace, reason)

@@ -37,7 +37,7 @@ from robot_runner.core.execution.orchestrator_events import OngoingExperiment, O
 from robot_runner.core.execution.poll_loop import PollLoop
 from robot_runner.core.execution.probe import Probe, probe_profilers, probed_profilers
 from robot_runner.core.execution.progress_manager import ProgressManager
-from robot_runner.core.execution.resumption import Resumption
+from robot_runner.core.execution.resumption import Resumption, edited_meanwhile
 from robot_runner.core.execution.side_by_side import SideBySide
 from robot_runner.core.execution.task import RunTask
 from robot_runner.core.storage.claim_locks import HeldClaims
@@ -181,6 +181,9 @@ class _Orchestrator:
             self._notifications.findings(self._interruption)
             raise
         self._progress.find(*self._clock.look())
+        # After an interruption the next execution looks, before it goes on; workers of a cluster have copies.
+        if not (self._interruption.is_requested or self._parameters.cluster is not None):
+            self._progress.find(*edited_meanwhile(self._experiment))
         finished = self._finish_notice(findings)
         self._progress.finish(interrupted=finished.interrupted)
         self._notifications.take(finished)

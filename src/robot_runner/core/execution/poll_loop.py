@@ -53,8 +53,10 @@ class Pause:
     def advance(self) -> bool:
         """Read the typed lines; return whether the pause is over."""
         if self._input is not None and select.select([self._input], [], [], 0)[0]:
-            self.typed = os.read(self._input, 4096)
-            return True
+            typed = os.read(self._input, 4096)
+            if typed or _is_gone(self._input):  # else Ctrl-D, after which a terminal goes on
+                self.typed = typed
+                return True
         return self._is_stopped or self.due is None or time.monotonic() >= self.due
 
     def stop(self, because: str, *, is_interruption: bool = False) -> None:
@@ -64,6 +66,12 @@ class Pause:
 
     def kill(self) -> None:
         """End it."""
+
+
+def _is_gone(descriptor: int) -> bool:
+    looking = select.poll()
+    looking.register(descriptor, 0)  # what is always told: that the other end has hung up
+    return bool(looking.poll(0))
 
 
 class UntilEnding:

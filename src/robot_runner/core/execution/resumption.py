@@ -5,7 +5,9 @@ from __future__ import annotations
 import ast
 import difflib
 import hashlib
+import sys
 from collections.abc import Collection, Container, Iterable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from enum import Enum
 from importlib.util import decode_source
@@ -22,7 +24,7 @@ from robot_runner.core.design.planned_runs import PlannedRun
 from robot_runner.core.design.run_table_model import RunTable
 from robot_runner.core.design.selection import Chosen, RunChooser
 from robot_runner.core.design.warm_up import WarmUp, with_warm_ups_again
-from robot_runner.core.errors import ExecutionError, Finding
+from robot_runner.core.errors import ExecutionError, Finding, StorageError
 from robot_runner.core.execution.given_values import changed_values, is_reordered
 from robot_runner.core.secret_names import is_same_setting, shown_settings
 from robot_runner.core.storage.cells import RunStatus
@@ -201,12 +203,7 @@ def config_changes(experiment: Experiment, *, of_design: bool = True, of_setting
     files = config_files(experiment, kept)
     if (earlier := _earlier_name(experiment, manifest, kept)) is not None:
         files[experiment.config_path] = kept / earlier
-    findings = [
-        finding
-        for source, copy in files.items()
-        if copy.exists()
-        for finding in _changed_lines(source, _text(read_bytes(copy, folder.root)), _text(source.read_bytes()), ignored)
-    ]
+    findings = [*_changed_files(files, folder.root, ignored)]
     if of_settings:
         findings += input_changes(experiment.inputs, kept)
         last = (manifest.get("executions") or [manifest])[-1]
@@ -215,6 +212,24 @@ def config_changes(experiment: Experiment, *, of_design: bool = True, of_setting
         told = "" if findings else _FROM_OUTSIDE
         findings += _changed_values(experiment, manifest, settings.keys() | experiment.overrides.keys(), told)
     return findings
+
+
+def edited_meanwhile(experiment: Experiment) -> Iterator[Finding]:
+    """Yield a warning for each file that runs read, or import late, and that was changed since this execution began."""
+    kept = last_config(experiment.folder)
+    loaded = {str(getattr(each, "__file__", "")) for each in list(sys.modules.values())}
+    late = {source: copy for source, copy in config_files(experiment, kept).items() if str(source) not in loaded}
+    with suppress(StorageError, OSError):  # a disk that is gone: there is nothing to be compared
+        for each in (*input_changes(experiment.inputs, kept), *_changed_files(late, experiment.folder.root)):
+            problem = f"changed while the experiment was executed: {each.problem}"
+            fix = "Find out from when on, and execute these runs again (--redo)."
+            yield Finding.warning(each.where, problem, fix)
+
+
+def _changed_files(files: Mapping[Path, Path], root: Path, ignored: frozenset[str] = frozenset()) -> Iterator[Finding]:
+    for source, copy in files.items():
+        if copy.exists():
+            yield from _changed_lines(source, _text(read_bytes(copy, root)), _text(source.read_bytes()), ignored)
 
 
 def _earlier_name(experiment: Experiment, manifest: Mapping[str, Any], kept: Path) -> str | None:
@@ -317,8 +332,8 @@ def _means_the_same(before: str, now: str, ignored: frozenset[str]) -> bool:
     return ast.dump(trees[0]) == ast.dump(trees[1])
 
 
-#: Settings that may change: the first has led to this folder, the second changes no value.
-_OF_NO_CONSEQUENCE = {"results_output_path", "workers"}
+#: Settings that may change: the first two have led to this folder, the third changes no value.
+_OF_NO_CONSEQUENCE = {"results_output_path", "experiment_name", "workers"}
 
 
 def _changed_settings(before: Mapping[str, str], now: Mapping[str, str]) -> Iterator[Finding]:

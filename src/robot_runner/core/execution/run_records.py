@@ -145,7 +145,8 @@ def _decoded(line: bytes) -> tuple[str, dict[str, Any]] | None:
 def failure_fields(error: BaseException) -> dict[str, str]:
     """Return `problem`, with the type of the error unless it is ours, and `traceback`; secrets are masked."""
     text = text_of(error)
-    problem = text if isinstance(error, RobotRunnerError | RunInterrupted) else f"{type(error).__name__}: {text}"
+    kind = "" if isinstance(error, RobotRunnerError | RunInterrupted) else type(error).__name__
+    problem = ": ".join(filter(None, (kind, text)))
     problem += _name_meant(error)
     if isinstance(error, EOFError) and "reading a line" in text:
         problem += " (nobody can type into a run: have a person asked before it, by `operator_steps`)"

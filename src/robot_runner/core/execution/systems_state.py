@@ -82,7 +82,7 @@ class SystemsState:
         return [Commanded(*each) for each in fields if len(each) == len(Commanded._fields)]  # the last may be cut
 
     def add_commanded(self, commanded: Commanded) -> None:
-        """Add a topic or action by which the run is about to command a robot; its systems are cared for from then on."""
+        """Add a topic or action by which the run is about to command a robot; it then has systems to care for."""
         with self._lock:
             end = max(_TOPICS, os.fstat(self.descriptor).st_size)
             os.pwrite(self.descriptor, f"{' '.join(commanded)}\n".encode(), end)

@@ -23,11 +23,12 @@ from robot_runner.core.config.experiment import Experiment
 from robot_runner.core.config.preparation import prepare_or_refuse
 from robot_runner.core.design.factor import Factor
 from robot_runner.core.design.revision import Revision
-from robot_runner.core.errors import ConfigError
+from robot_runner.core.errors import ConfigError, ExecutionError
 from robot_runner.core.execution.inherited_state import freeze_inherited, write_open_files
 from robot_runner.core.execution.interruption import STOP_SIGNALS, InterruptGate
 from robot_runner.core.execution.left_processes import RunMark, end_left_processes
 from robot_runner.core.execution.processes import leave_after, settle_streams
+from robot_runner.core.execution.resumption import config_changes
 from robot_runner.core.execution.run_events import execute_run, has_standby, systems_of_standby
 from robot_runner.core.execution.run_facts import notice_programs
 from robot_runner.core.execution.run_records import FINISHED, RecordWriter
@@ -60,8 +61,9 @@ def become_interpreter(
     inherited = [report.descriptor, *([] if systems is None else [systems.descriptor]), *claims]
     for descriptor in inherited:
         os.set_inheritable(descriptor, True)  # noqa: FBT003 - the system's own signature
-    # In a replication, the config lies in the package, and the results go elsewhere.
-    settings = {**experiment.overrides, "results_output_path": str(experiment.folder.root.parent)}
+    # In a replication, the config lies in the package, and the results go elsewhere; a name may have the time in it.
+    results, name = experiment.folder.root.parent, experiment.parameters.experiment_name
+    settings = {**experiment.overrides, "results_output_path": str(results), "experiment_name": name}
     if experiment.parameters.robots and experiment.parameters.robot is not None:
         settings["robot"] = experiment.parameters.robot  # that of the run's place, where several take turns
     description = {
@@ -127,6 +129,8 @@ def _kept(systems: SystemsState, experiment: Experiment, task: RunTask) -> Itera
 def _execute_described(description: Mapping[str, Any], report: RecordWriter) -> None:
     hold_inherited(description["claims"])
     experiment = prepare_or_refuse(Path(description["config"]), description["set"], looks_at_graph=False)
+    # Somebody may have edited the file since: runs before and after would be of different experiments.
+    ExecutionError.refuse(config_changes(experiment, of_settings=False))
     restore_revisions(experiment.model.factors, description["revisions"])
     task = task_of(experiment, description["task"])
     experiment = replace(experiment, folder=experiment.folder.at_slot(task.slot))
