@@ -7,6 +7,7 @@ import json
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
+from robot_runner.core.storage.guarded_files import sha256_of
 from robot_runner.core.storage.journal import Journal
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.manifest import write_manifest
@@ -104,7 +105,7 @@ class Folder:
     def _write_journal(self) -> None:
         stamps = (f"{self.day}T12:{minute:02}:{second:02}.000Z" for minute in range(60) for second in range(60))
         with Journal(self.files.journal) as journal:
-            for place in range(len(self.rows)):
+            for place, row in enumerate(self.rows):
                 run, status = self.run_id(place), self.status(place)
                 if status == "-":
                     continue
@@ -121,9 +122,13 @@ class Folder:
                     status="done" if is_done else "failed",
                     seconds=3.0,
                     stamps={},
-                    measures={},
+                    measures=dict(zip(self.measures, map(self._published, row[len(self.factors) :]), strict=False)),
                     failure=None if is_done else self.failure,
                 )
+            journal.append("table_written", sha256=sha256_of(self.files.run_table))
+
+    def _published(self, value: object) -> dict[str, Any]:
+        return {"value": value, "owner": "Meter", "origin": self.origin or "measured"}
 
     def _manifest(self) -> dict[str, Any]:
         return {

@@ -359,9 +359,31 @@ def test_the_last_sample_and_place_of_a_long_file_are_its_own(root: Path) -> Non
     curves = RunCurves(ExperimentFolder(root), "r_1")
     curves.look()
     (told,) = [each for each in curves.told() if each["plugin"] == "Long"]
-    assert told["last_at"] == 10_000.0
-    assert told["columns"][0]["last"] == 7.5
+    assert (told["columns"][0]["last"], told["columns"][0]["last_at"]) == (7.5, 10_000.0)
     assert told["pose"][:2] == (10_000.0, 0.0)
+
+
+def test_samples_are_told_by_the_seconds_since_the_first_and_not_since_the_machine_was_started(root: Path) -> None:
+    folder = root / "runs" / "r_1" / "Meter"
+    folder.mkdir(parents=True)
+    (folder / "early.csv").write_text("time_s,power_W\n27370.25,5\n27370.5,6\n27372.25,7\n")
+    (folder / "late.csv").write_text("time_s,power_W\n27371.25,5\n")
+    curves = RunCurves(ExperimentFolder(root), "r_1")
+    curves.look()
+    told = {each["file"]: each for each in curves.told() if each["plugin"] == "Meter"}
+    assert (told["early.csv"]["times"], told["early.csv"]["columns"][0]["last_at"]) == ([0.0, 0.25, 2.0], 2.0)
+    assert told["late.csv"]["times"] == [1.0]
+
+
+def test_a_sensor_that_fell_silent_is_told_with_the_time_of_its_last_value(root: Path) -> None:
+    folder = root / "runs" / "r_1" / "Meter"
+    folder.mkdir(parents=True)
+    rows = "".join(f"{place},{12.1 if place <= 20 else ''},5\n" for place in range(96))
+    (folder / "samples.csv").write_text(f"time_s,voltage_V,power_W\n{rows}")
+    curves = RunCurves(ExperimentFolder(root), "r_1")
+    curves.look()
+    (told,) = [each for each in curves.told() if each["plugin"] == "Meter"]
+    assert [(each["last"], each["last_at"]) for each in told["columns"]] == [(12.1, 20.0), (5.0, 95.0)]
 
 
 def test_curves_grow_with_their_files_and_live_samples_give_way(root: Path) -> None:
@@ -372,7 +394,7 @@ def test_curves_grow_with_their_files_and_live_samples_give_way(root: Path) -> N
     curves = RunCurves(ExperimentFolder(root), "r_1")
     curves.look()
     (told,) = [each for each in curves.told() if each["plugin"] == "Meter"]
-    assert (told["is_live"], told["times"], told["columns"][0]["high"]) == (True, [0.5], [7.5])
+    assert (told["is_live"], told["times"], told["columns"][0]["high"]) == (True, [0.0], [7.5])
     with live.open("a") as file:
         file.write("5\n")
     version = curves.version

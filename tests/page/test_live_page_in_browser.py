@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import signal
 from typing import TYPE_CHECKING
 
 import pytest
@@ -63,9 +64,14 @@ def wait_for_whole_samples(browser: Browser, run: str) -> None:
     assert len(names) == len({*names})
 
 
+def pass_an_hour(browser: Browser) -> None:
+    """Have the page believe that an hour has passed."""
+    browser.evaluate("{ const now = performance.now.bind(performance); performance.now = () => now() + 36e5; }")
+
+
 def left_an_hour_later(browser: Browser) -> str:
     """Return what a pause of an hour leaves of the time left, which the page counts once a second."""
-    browser.evaluate("{ const now = performance.now.bind(performance); performance.now = () => now() + 36e5; }")
+    pass_an_hour(browser)
     browser.evaluate("new Promise(done => setTimeout(done, 1200))")
     return text(browser, "#left")
 
@@ -77,6 +83,17 @@ def pause_and_answer(browser: Browser, done: int) -> None:
     browser.press("#ask-form [type=submit]")
     browser.wait_for(seen("#word", "is paused") + " && " + seen("#counts", f"{done} of 15 runs done"))
     browser.wait_for(f"[...document.querySelectorAll('#rows tr.done')].length === {done}")
+
+
+def see_what_is_asked_first(browser: Browser) -> None:
+    """See the first question; a telephone that writes 11,8 shows all its keys: beside its digits it has no point."""
+    browser.wait_for(seen("#ask", "swap the battery"))
+    assert "Next is r_1: Task" in text(browser, "#ask-run")
+    assert browser.evaluate("document.getElementById('answer-0').inputMode") == "decimal"
+    browser.call("Emulation.setLocaleOverride", locale="it-IT")
+    browser.evaluate("location.reload()")
+    browser.wait_for("document.getElementById('answer-0')?.inputMode === 'text'")
+    browser.call("Emulation.setLocaleOverride")
 
 
 @pytest.mark.long
@@ -96,8 +113,7 @@ def test_a_person_with_a_phone_follows_pauses_answers_and_continues_the_demo(
         browser.wait_for(seen(".experiment-item.waiting", "Waits for you: swap the battery"))
         assert "key" not in browser.evaluate("location.href"), "the key stays in the address"
         browser.press(".experiment-item a")
-        browser.wait_for(seen("#ask", "swap the battery"))
-        assert "Next is r_1: Task" in text(browser, "#ask-run")
+        see_what_is_asked_first(browser)
         # What is not taken is said beside its question, and the first of them has the focus.
         browser.press("#answer-0")
         browser.write("118")
@@ -254,6 +270,43 @@ def test_samples_of_a_run_that_ended_before_its_first_ones_had_arrived_are_looke
     assert browser.complaints == []
 
 
+@pytest.mark.long
+def test_a_run_that_was_chosen_while_it_is_executed_goes_on_being_shown(
+    browser: Browser, serve_page: Callable[..., ServedPage], write_config: Callable[..., Path], tmp_path: Path
+) -> None:
+    config = write_config(
+        "def launch_mission(self, context):\n"
+        "    (context.run_folder / 'a.csv').write_text('time_s,power_W\\n5000,1\\n')\n"
+        "    while not Path('on').exists(): context.clock.sleep(0.02)\n"
+        "    with (context.run_folder / 'a.csv').open('a') as file: file.write('5001,2\\n')\n"
+        "    while not Path('go').exists(): context.clock.sleep(0.02)\n"
+        "    with (context.run_folder / 'a.csv').open('a') as file: file.write('5002,3\\n')\n"
+        "def populate_run_data(self, context): return {'Energy': 1.5}"
+    )
+    root = tmp_path / "results" / "trial"
+    with executed(config, "--only", "r_1") as experiment:
+        wait_until(lambda: any(read_journal(root / "journal.jsonl", kinds={"attempt_started"})))
+        page = serve_page(root)
+        browser.open(page.links["Here"])
+        browser.wait_for(seen("#plots", "last 1 at 0 s") + " && document.querySelector('button.run[data-run=r_1]')")
+        browser.evaluate("document.querySelector('button.run[data-run=r_1]').click()")
+        browser.wait_for("document.querySelector('button.run[data-run=r_1]').getAttribute('aria-pressed') === 'true'")
+        (tmp_path / "on").touch()
+        browser.wait_for(seen("#plots", "last 2 at 1 s"))
+        (tmp_path / "go").touch()
+        assert experiment.wait(timeout=60) == 0
+        browser.wait_for(seen("#plots", "last 3 at 2 s"))
+    # And where it is executed again.
+    for name in ("on", "go"):
+        (tmp_path / name).unlink()
+    with executed(config, "--redo", "r_1", "--only", "r_1") as experiment:
+        browser.wait_for(seen("#plots", "last 1 at 0 s"))
+        for name in ("on", "go"):
+            (tmp_path / name).touch()
+        assert experiment.wait(timeout=60) == 0
+    assert browser.complaints == []
+
+
 def test_who_may_only_look_has_no_buttons(
     browser: Browser, serve_page: Callable[..., ServedPage], write_config: Callable[..., Path], tmp_path: Path
 ) -> None:
@@ -301,6 +354,95 @@ def test_a_page_goes_on_after_its_server_was_started_anew(
         browser.wait_for(seen("#word", "all runs are done"))
         browser.wait_for("document.querySelectorAll('#rows tr.done').length === 4")
         assert text(browser, "#link") == "live"
+
+
+@pytest.mark.long
+def test_an_open_page_shows_what_another_server_serves_at_its_address(
+    browser: Browser, serve_page: Callable[..., ServedPage], tmp_path: Path
+) -> None:
+    make_large(tmp_path / "first" / "one", 3)
+    make_large(tmp_path / "second", 5)
+    page = serve_page(tmp_path / "first")
+    browser.open(page.links["Here"])
+    browser.wait_for(seen(".experiment-item a", "large"))
+    browser.press(".experiment-item a")
+    browser.wait_for(seen("#counts", "3 of 3 runs done"))
+    browser.press("#share")
+    assert browser.evaluate("document.getElementById('dialog').open")
+    # As by `run --page`, of one experiment after the other.
+    page.stop()
+    browser.wait_for(seen("#link", "connection lost"))
+    page.folder, page.words = tmp_path / "second", ("--read-only",)
+    page.start()
+    browser.wait_for(seen("#counts", "5 of 5 runs done") + " && " + seen("#link", "live"))
+    assert not browser.evaluate("document.getElementById('dialog').open"), "what it asks is of another experiment"
+    # And what is no longer there is said.
+    page.stop()
+    page.folder = tmp_path / "first"
+    page.start()
+    browser.wait_for(seen(".experiment-item a", "large"))
+    browser.press(".experiment-item a")
+    browser.wait_for(seen("#counts", "3 of 3 runs done"))
+    page.stop()
+    (tmp_path / "first" / "one").rename(tmp_path / "first" / "renamed")
+    page.start()
+    browser.wait_for(seen("#notice", "There is no such experiment") + " && " + seen(".experiment-item", "renamed"))
+    browser.press(".experiment-item a")
+    browser.wait_for(seen("#counts", "3 of 3 runs done") + " && document.getElementById('notice').hidden")
+
+
+@pytest.mark.long
+def test_a_server_that_is_silent_is_not_told_as_live(
+    browser: Browser, serve_page: Callable[..., ServedPage], tmp_path: Path
+) -> None:
+    make_large(tmp_path / "large", 3)
+    page = serve_page(tmp_path / "large")
+    browser.open(page.links["Here"])
+    browser.wait_for(seen("#counts", "3 of 3 runs done"))
+    assert page.process is not None
+    page.process.send_signal(signal.SIGSTOP)  # as a laptop that sleeps, or a network that is gone
+    try:
+        pass_an_hour(browser)
+        browser.wait_for(seen("#link", "connection lost"))
+    finally:
+        page.process.send_signal(signal.SIGCONT)
+    browser.wait_for(seen("#link", "live"))
+
+
+@pytest.mark.long
+def test_a_tab_that_nobody_sees_keeps_no_connection_of_the_few_that_a_browser_has(
+    browser: Browser, serve_page: Callable[..., ServedPage], tmp_path: Path
+) -> None:
+    make_large(tmp_path / "large", 3)
+    page = serve_page(tmp_path / "large")
+
+    def viewers() -> str:
+        return page.ask("/metrics").body.decode().rpartition("robot_runner_viewers ")[2].strip()
+
+    def is_hidden(is_hidden: str) -> None:
+        browser.evaluate(f"Object.defineProperty(document, 'hidden', {{value: {is_hidden}, configurable: true}})")
+        browser.evaluate("document.dispatchEvent(new Event('visibilitychange'))")
+
+    quick = browser.call(
+        "Page.addScriptToEvaluateOnNewDocument",
+        source="{ const later = setTimeout; window.setTimeout = (then, ms) => later(then, ms / 20); }",
+    )
+    try:
+        browser.open(page.links["Here"])
+        browser.wait_for(seen("#counts", "3 of 3 runs done"))
+        is_hidden("true")
+        wait_until(lambda: viewers() == "0")
+        # Its title is kept up to date all the same.
+        manifest = (tmp_path / "large" / "manifest.json").read_text()
+        (tmp_path / "large" / "manifest.json").write_text(manifest.replace('"large"', '"other"'))
+        with (tmp_path / "large" / "journal.jsonl").open("a") as journal:
+            journal.write('{"kind":"finding","run":"r_1","owner":"x","problem":"odd","fix":""}\n')
+        browser.wait_for("document.title.startsWith('other')")
+        is_hidden("false")
+        wait_until(lambda: viewers() == "1")
+        browser.wait_for(seen("#findings", "odd"))
+    finally:
+        browser.call("Page.removeScriptToEvaluateOnNewDocument", identifier=quick["identifier"])
 
 
 @pytest.mark.long

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import count
 from pathlib import Path
 from typing import ClassVar
 
@@ -119,6 +120,14 @@ class NotAPlugin:
     measures = ()
 
     def start_run(self, context): ...
+
+
+class Commaless(Stopwatch):
+    measures: ClassVar = Measure("Seconds", "s", "Time between start and stop of the measurement.")
+
+
+class Named(Stopwatch):
+    measures: ClassVar = ("Seconds",)
 
 
 class Twins(Stopwatch):
@@ -245,6 +254,13 @@ class Restless(Stopwatch):
         self.seconds = context.clock.now() - (self.began or 0.0)
 
 
+class Fluctuating(Stopwatch):
+    readings = count()
+
+    def populate_run_data(self, context):
+        context.publish("Seconds", float(next(self.readings)))
+
+
 class Crashing(Stopwatch):
     def stop_run(self, context):
         raise RuntimeError("cannot close")
@@ -274,6 +290,8 @@ class Dividing(Stopwatch):
         (NotAPlugin, "its_name_can_be_that_of_a_folder", "does not derive from"),
         (Waggon, "it_is_a_profiler", "does not derive from Profiler"),
         (Twins, "its_measures_have_names_of_their_own_and_a_description", "two measures have one name"),
+        (Commaless, "its_measures_have_names_of_their_own_and_a_description", r"give a list, such as \[Measure"),
+        (Named, "its_measures_have_names_of_their_own_and_a_description", r"give a list, such as \[Measure"),
         (Undescribed, "its_measures_have_names_of_their_own_and_a_description", "has no description"),
         (Deaf, "its_callbacks_can_be_called", "the plugin has no callback"),
         (OddCallback, "its_callbacks_can_be_called", "cannot be called with a context"),
@@ -319,6 +337,8 @@ def test_a_profiler_that_withholds_the_value_of_too_few_samples_keeps_its_contra
         (Presumptuous, "closing_what_was_never_opened_does_no_harm", "unsupported operand"),
         (Forgetful, "closing_twice_does_no_harm", "the plugin published"),
         (Restless, "closing_twice_does_no_harm", "the plugin published"),
+        (Fluctuating, "closing_twice_does_no_harm", "Where equal runs have other values, .* is_repeatable"),
+        (Fluctuating, "values_are_about_the_mission_alone", "Where equal runs have other values, .* is_repeatable"),
         (Stale, "a_second_run_does_not_depend_on_the_first", "the plugin published"),
         (Hoarder, "a_second_run_does_not_depend_on_the_first", "the plugin published"),
         (Crashing, "a_mission_that_fails_is_closed", "cannot close"),

@@ -5,11 +5,13 @@ import math
 import pytest
 
 from robot_runner.core.errors import LinkError, MeasureError
+from robot_runner.core.events.context import SystemClock
 from robot_runner.core.events.measure import Measure
 from robot_runner.core.links.connect import connect_robot
 from robot_runner.core.links.robot import RobotLink, Subscription
 from robot_runner.measuring.devices import connect_host, open_serial_line
 from robot_runner.measuring.host import HostLink, UtilisationSampler
+from robot_runner.measuring.local_host import LocalHost
 from robot_runner.measuring.serial_line import SerialLine
 from robot_runner.plugins import Profiler
 from robot_runner.testing import (
@@ -43,6 +45,15 @@ def test_fakes_keep_to_the_protocols_of_the_links(clock):
     assert isinstance(FakeSerialLine(clock), SerialLine)
     assert isinstance(FakeHostLink(clock), HostLink)
     assert isinstance(FakeHostLink(clock).sample_utilisation(1.0), UtilisationSampler)
+
+
+@pytest.mark.parametrize("make", [LocalHost, FakeHostLink])
+def test_the_first_sample_of_a_computer_has_no_cpu_as_there_is_none_before(make):
+    clock = SystemClock()
+    sampler = make(clock).sample_utilisation(100.0)
+    clock.sleep(0.05)
+    first = sampler.stop()[0]
+    assert (first.cpu, first.memory is None) == (None, False)
 
 
 @pytest.mark.parametrize("make", [FakeRobotLink, FakeTurtlebot3Link, FakeSerialLine, FakeHostLink])
@@ -188,6 +199,17 @@ def test_the_ideal_robot_tells_of_its_pose_30_times_a_second(clock):
     assert heard[-1]["pose"]["pose"]["position"]["x"] == pytest.approx(0.2)
 
 
+def test_the_ideal_robot_tells_of_its_velocity_in_a_whole_message_as_a_real_one(clock):
+    robot, heard = FakeTurtlebot3Link(clock, slip=0.5), []
+    robot.subscribe("odom", "nav_msgs/Odometry", heard.append)
+    robot.publish("cmd_vel", TWIST, {"linear": {"x": 0.2}, "angular": {"z": 1.0}})
+    clock.sleep(0.1)
+    assert heard[-1].keys() == {"header", "child_frame_id", "pose", "twist"}  # as in nav_msgs/Odometry
+    assert [len(heard[-1][part]["covariance"]) for part in ("pose", "twist")] == [36, 36]
+    told = heard[-1]["twist"]["twist"]
+    assert (told["linear"], told["angular"]) == ({"x": 0.1, "y": 0.0, "z": 0.0}, {"x": 0.0, "y": 0.0, "z": 0.5})
+
+
 def test_a_serial_line_delivers_what_has_arrived_once(clock):
     line = FakeSerialLine(clock, [Chunk(2.0, b"b"), Chunk(1.0, b"a"), Chunk(3.0, b"c")])
     clock.sleep(2.0)
@@ -213,7 +235,7 @@ def test_a_sampler_returns_the_same_samples_twice(clock):
     clock.sleep(2.0)
     first = sampler.stop()
     clock.sleep(2.0)
-    assert [(sample.time, sample.cpu) for sample in first] == [(0.0, 0.0), (2.0, 2.0)]
+    assert [(sample.time, sample.cpu) for sample in first] == [(0.0, None), (2.0, 2.0)]
     assert sampler.stop() == first
 
 

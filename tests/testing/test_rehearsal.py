@@ -1,8 +1,11 @@
 from __future__ import annotations
 
+import threading
+
 import pytest
 
 from robot_runner.core.errors import ConfigError, MeasureError, PluginError
+from robot_runner.core.events.early_end import RunFailed
 from robot_runner.core.events.measure import Measure
 from robot_runner.plugins import Profiler, System, treatment
 from robot_runner.testing import make_context, rehearse
@@ -99,6 +102,78 @@ def test_a_mission_that_is_stopped_early_is_no_failure(tmp_path):
     measures = rehearse(context, robot, scale, mission=lambda: context.stop_mission("it is there"))
     assert measures == {"Mass": 1.0}
     assert [event for _, event in journal][-3:] == ["stop_run", "make_safe", "populate_run_data"]
+
+
+class Polling(Profiler):
+    """A profiler with a thread of its own, which does something during the mission, or while it is ended."""
+
+    measures = (Measure("Mass", "kg", "Mass of the robot."),)
+
+    def __init__(self, act, *, is_late=False):
+        super().__init__()
+        self.act, self.is_late = act, is_late
+
+    def start_measurement(self, context):
+        self.may_act = threading.Event()
+        self.thread = threading.Thread(target=self.poll, args=(context,), name="poll")
+        self.thread.start()
+
+    def poll(self, context):
+        self.may_act.wait()
+        self.act(context)
+
+    def launch_mission(self):
+        if not self.is_late:
+            self.end()
+
+    def stop_measurement(self):
+        self.end()
+
+    def end(self):
+        self.may_act.set()
+        self.thread.join()
+
+    def populate_run_data(self):
+        return {"Mass": 1.0}
+
+
+def read_nothing(_context):
+    raise OSError("the sensor is gone")
+
+
+@pytest.mark.parametrize(
+    ("act", "problem"), [(read_nothing, "the sensor is gone"), (lambda context: context.fail("too warm"), "too warm")]
+)
+def test_a_thread_fails_a_rehearsal_as_it_fails_a_run(tmp_path, act, problem):
+    profiler, hook = Polling(act), threading.excepthook
+    context = make_context(tmp_path, profiler, robot=None)
+    with pytest.raises((OSError, RunFailed), match=problem):
+        rehearse(context, profiler)
+    assert (dict(context.measures), threading.excepthook) == ({}, hook)
+
+
+def test_a_thread_of_an_earlier_run_fails_no_rehearsal(tmp_path, monkeypatch):
+    told = []
+    monkeypatch.setattr(threading, "excepthook", lambda raised: told.append(raised.exc_value))
+    earlier, profiler = Polling(read_nothing), Polling(lambda context: None)
+    earlier.start_measurement(None)
+    context = make_context(tmp_path, profiler, robot=None)
+    assert dict(rehearse(context, profiler, mission=earlier.end)) == {"Mass": 1.0}
+    assert ([str(each) for each in told], context.broker.findings) == (["the sensor is gone"], ())
+
+
+def test_a_thread_ends_a_mission_early(tmp_path):
+    profiler = Polling(lambda context: context.stop_mission("arrived"))
+    context = make_context(tmp_path, profiler, robot=None)
+    assert dict(rehearse(context, profiler)) == {"Mass": 1.0}
+
+
+def test_a_thread_that_fails_while_it_is_closed_is_a_finding_as_in_a_run(tmp_path):
+    profiler = Polling(read_nothing, is_late=True)
+    context = make_context(tmp_path, profiler, robot=None)
+    assert dict(rehearse(context, profiler)) == {"Mass": 1.0}
+    (finding,) = context.broker.findings
+    assert finding.problem == "thread poll raised OSError: the sensor is gone"
 
 
 def test_who_was_not_reached_by_an_opening_event_is_not_closed(tmp_path):

@@ -25,7 +25,7 @@ _AT_ONCE = 0.01
 _PATIENCE = 20.0
 #: How many messages a viewer may be behind before it has to begin anew.
 _MOST_BEHIND = 32
-#: How often a comment keeps the connection alive, s; how long a viewer may take nothing, s.
+#: How often a message tells pages that the connection is alive, s; how long a viewer may take nothing, s.
 _KEEP_ALIVE, _DEAD = 15.0, 30.0
 _MOST_FOLLOWED = 24
 
@@ -61,11 +61,11 @@ class Viewer:
         self._messages.put_nowait(message)
 
     async def get(self) -> bytes:
-        """Return all waiting messages, or a comment if none came for a while."""
+        """Return all waiting messages; if none came for a while, one that says that this server is there."""
         try:
             first = await asyncio.wait_for(self._messages.get(), _KEEP_ALIVE)
         except TimeoutError:
-            return b": still here\n\n"
+            return _event("here", {})
         rest = [self._messages.get_nowait() for _ in range(self._messages.qsize())]
         return b"".join([first, *rest])
 
@@ -232,7 +232,6 @@ async def _left(receive: Receive) -> None:
 
 
 async def _send_all(viewer: Viewer, send: Send) -> None:
-    await send({"type": "http.response.body", "body": b"retry: 1000\n\n", "more_body": True})
     while True:
         body = await viewer.get()
         await asyncio.wait_for(send({"type": "http.response.body", "body": body, "more_body": True}), _DEAD)

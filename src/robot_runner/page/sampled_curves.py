@@ -34,7 +34,7 @@ class ThinnedSamples:
 
     Attributes:
         times, low, high: when each point begins, and the smallest and the largest value of each column in it.
-        last: the last value of each column.
+        last, last_at: the last value of each column, and its time.
 
     Example:
         >>> samples = ThinnedSamples(1)
@@ -49,12 +49,15 @@ class ThinnedSamples:
         self.low: list[list[float | None]] = [[] for _ in range(columns)]
         self.high: list[list[float | None]] = [[] for _ in range(columns)]
         self.last: list[float | None] = [None] * columns
+        self.last_at = [math.nan] * columns
         self._each = 1
         self._in_last = 0
 
     def add(self, time: float, values: Sequence[float | None]) -> None:
         """Add a sample; times must not decrease."""
-        self.last = [before if value is None else value for before, value in zip(self.last, values, strict=True)]
+        for place, value in enumerate(values):
+            if value is not None:
+                self.last[place], self.last_at[place] = value, time
         if self._in_last in {0, self._each}:
             if len(self.times) == _POINTS:
                 self._halve()
@@ -165,21 +168,27 @@ class _SampleFile:
             self.way.append((x, y))
             self._way_due = self._way_each
 
-    def told(self) -> dict[str, Any] | None:
-        """Return the curves with numbers as plain data, or None."""
+    @property
+    def begin(self) -> float:
+        """The time of the first sample; infinite where there is none."""
+        return self.samples.times[0] if self.samples is not None and self.samples.times else math.inf
+
+    def told(self, begin: float) -> dict[str, Any] | None:
+        """Return the curves with numbers as plain data, with times from `begin` on, or None."""
         if self.samples is None or not self.samples.times:
             return None
-        low, high, last = self.samples.low, self.samples.high, self.samples.last
+        low, high, last, last_at = self.samples.low, self.samples.high, self.samples.last, self.samples.last_at
         shown = [place for place, value in enumerate(last) if value is not None]
         return {
             "plugin": self.plugin,
             "file": self.name,
             "is_live": self.is_live,
             "is_cut": self.is_cut,
-            "times": self.samples.times,
-            "last_at": self._last,
+            "times": [time - begin for time in self.samples.times],
             "columns": [
-                {"name": self.columns[each], "low": low[each], "high": high[each], "last": last[each]} for each in shown
+                {"name": self.columns[each], "low": low[each], "high": high[each]}
+                | {"last": last[each], "last_at": last_at[each] - begin}
+                for each in shown
             ],
             "way": self.way,
             "pose": self._pose,
@@ -225,8 +234,12 @@ class RunCurves:
         return is_behind
 
     def told(self) -> list[dict[str, Any]]:
-        """Return all curves as plain data, by file."""
-        return [told for each in self._known.values() if (told := each.told()) is not None]
+        """Return all curves as plain data, by file; times are s since the run's first sample.
+
+        A run's clock may count from the start of the machine.
+        """
+        begin = min((each.begin for each in self._known.values()), default=0.0)
+        return [told for each in self._known.values() if (told := each.told(begin)) is not None]
 
     def _paths(self) -> Iterator[tuple[Path, str]]:
         """Yield a limited number of files that may have samples, each with its plugin."""

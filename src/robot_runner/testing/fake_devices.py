@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from bisect import insort
 from collections.abc import Callable, Iterable
+from dataclasses import replace
 
 from robot_runner.core.errors import LinkError
 from robot_runner.core.events.context import Clock
@@ -36,11 +37,13 @@ class _Sampler:
             count = math.floor((self._clock.now() - self._begun) * self._rate + 1e-9)
             times = (self._begun + number / self._rate for number in range(count + 1))
             self._samples = [self._link.sample_at(time) for time in times if not self._link.misses(time)]
+            if self._samples:  # CPU utilisation is that since the sample before
+                self._samples[0] = replace(self._samples[0], cpu=None)
         return self._samples
 
 
 class FakeHostLink:
-    """A `HostLink` to a computer with scripted utilisation.
+    """A `HostLink` to a computer with scripted utilisation; the first sample has no CPU, as that of a real one.
 
     Args:
         clock: the run's.
@@ -249,14 +252,20 @@ class FakeTurtlebot3Link(FakeRobotLink):
     def _tell(self) -> None:
         self._move()
         if self._clock.now() < self.odometry_ends_at:
-            self.deliver("odom", _odometry(self._clock.now(), self.x, self.y, self.heading))
+            velocity = {"linear": _vector(x=self._speed), "angular": _vector(z=self._rate)}
+            self.deliver("odom", _odometry(self._clock.now(), self.x, self.y, self.heading, velocity))
 
 
-def _odometry(time: float, x: float, y: float, heading: float) -> Message:
+def _vector(x: float = 0.0, y: float = 0.0, z: float = 0.0) -> Message:
+    return {"x": x, "y": y, "z": z}
+
+
+def _odometry(time: float, x: float, y: float, heading: float, velocity: Message) -> Message:
     turn = {"x": 0.0, "y": 0.0, "z": math.sin(heading / 2), "w": math.cos(heading / 2)}
     seconds = int(time)
     return {
         "header": {"stamp": {"sec": seconds, "nanosec": int((time - seconds) * 1e9)}, "frame_id": "odom"},
         "child_frame_id": "base_footprint",
-        "pose": {"pose": {"position": {"x": x, "y": y, "z": 0.0}, "orientation": turn}},
+        "pose": {"pose": {"position": _vector(x, y), "orientation": turn}, "covariance": [0.0] * 36},
+        "twist": {"twist": velocity, "covariance": [0.0] * 36},
     }

@@ -168,14 +168,20 @@ class FakeRobotLink:
         return True
 
     def subscribe(
-        self, topic: str, message_type: str, callback: Callable[[Message], None], *, qos: Qos | None = None
+        self,
+        topic: str,
+        message_type: str,
+        callback: Callable[[Message], None],
+        *,
+        qos: Qos | None = None,
+        is_prompt: bool = False,
     ) -> _Subscription:
         """Call `callback` with each message that is delivered on the topic.
 
         Raises:
             LinkError: the link was closed, or the fault that was set.
         """
-        del qos
+        del qos, is_prompt
         self._check()
         subscription = _Subscription(message_type, callback)
         self._subscriptions[topic].append(subscription)

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import heapq
-from collections.abc import Callable, Collection, Mapping, Sequence
-from contextlib import ExitStack
+import threading
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from functools import partial
 from itertools import count
@@ -160,7 +161,7 @@ class FakeLinks:
 
     def plant(self, resources: Resources) -> None:
         """Put these links among the opened resources of a run."""
-        resources.open("simulation", _NoSimulation)
+        resources.open("simulation", ExitStack[None])  # nothing to close, so that none is started
         for key, link in self._links.items():
             resources.open(key, partial(_itself, link))
 
@@ -186,13 +187,6 @@ class _FakeResources(Resources):
 
 def _itself(link: Closable) -> Closable:
     return link
-
-
-class _NoSimulation:
-    """Takes the place of a run's simulation, so that none is started."""
-
-    def close(self) -> None:
-        """Do nothing."""
 
 
 def make_context(
@@ -302,11 +296,12 @@ class Rehearsal:
         """Emit all six events, with `mission` beside the callbacks of `launch_mission`.
 
         Before an exception propagates, closing events are emitted and the systems are made safe. A mission that
-        `context.stop_mission` ends is not a failure: the systems are made safe, and the run goes on.
+        `context.stop_mission` ends is not a failure: the systems are made safe, and the run goes on. What a thread
+        raises counts once the mission has ended, unless the thread handles it; while closing it is a finding.
         """
         is_stopped = False
         try:
-            with ExitStack() as closing:
+            with self._threads() as raised, ExitStack() as closing:
                 for event in (RobotRunnerEvents.START_RUN, RobotRunnerEvents.START_MEASUREMENT):
                     emission = self._emission(event)
                     heard = {subscriber.owner for subscriber in self._manager.subscribers(event)}
@@ -315,6 +310,8 @@ class Rehearsal:
                 try:
                     self.emit(RobotRunnerEvents.LAUNCH_MISSION)
                     mission()
+                    if raised:
+                        raise raised[0].exc_value or raised[0].exc_type
                 except MissionStopped:
                     is_stopped = True
             if is_stopped:
@@ -330,6 +327,21 @@ class Rehearsal:
         with ExitStack() as asking:
             for system in self._systems:
                 asking.callback(made_safe, system, self._contexts[system.name])
+
+    @contextmanager
+    def _threads(self) -> Iterator[list[threading.ExceptHookArgs]]:
+        """Collect what threads raise and do not handle; where the run goes on all the same, it is a finding."""
+        raised: list[threading.ExceptHookArgs] = []
+        earlier, others = threading.excepthook, threading.enumerate()  # those of an earlier run are not of this one
+        threading.excepthook = lambda told: (earlier if told.thread in others else raised.append)(told)
+        try:
+            yield raised
+        finally:
+            threading.excepthook = earlier
+        for each in raised:
+            if not isinstance(each.exc_value, MissionStopped):
+                name = getattr(each.thread, "name", "(ended)")
+                self._context.warn(f"thread {name} raised {each.exc_type.__name__}: {each.exc_value}")
 
     def _miss_phases(self) -> None:
         there = [phase.name for phase in self._context.phases]

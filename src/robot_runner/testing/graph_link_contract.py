@@ -44,7 +44,7 @@ class GraphLinkContract(RobotLinkContract):
 
     Example:
         >>> from robot_runner.core.events.context import SystemClock
-        >>> from robot_runner.ros.ros1_link import open_ros1_link
+        >>> from robot_runner.ros.link_opening import open_ros1_link
         >>> from robot_runner.testing import GraphLinkContract
         >>> class TestRos1Link(GraphLinkContract):
         ...     def make_link(self, namespace=""):
@@ -128,22 +128,23 @@ class GraphLinkContract(RobotLinkContract):
             require(isinstance(ranges, list), f"an array is {ranges!r}")
             require(ranges[:2] == [1.5, math.inf] and math.isnan(ranges[2]), f"the ranges are {ranges}")
 
-    def test_bytes_are_those_of_the_message_and_wait_for_no_callback(self) -> None:
-        """Check that raw bytes are encoded as in a bag of this generation, and arrive while another callback works."""
+    def test_bytes_and_prompt_callbacks_wait_for_no_other_and_bytes_are_those_of_the_message(self) -> None:
+        """Check that bytes are as in a bag of this generation, and that they and prompt callbacks are not delayed."""
         from robot_runner.ros.type_catalogue import TypeCatalogue  # noqa: PLC0415  # it needs rosbags
 
         with self.opened() as robot, self.opened() as link:
-            raw, released = list[RawMessage](), threading.Event()
+            raw, prompt, released = list[RawMessage](), list[Message](), threading.Event()
             hang: Any = lambda _: released.wait(2 * self.discovery)  # noqa: E731
             for _ in range(2):
                 link.subscribe("chatter", _STRING, hang)
+                link.subscribe("chatter", _STRING, prompt.append, is_prompt=True)
                 link.subscribe_raw("chatter", _STRING, raw.append)
 
             def have_arrived() -> bool:
                 robot.publish("chatter", _STRING, {"data": "hello"})
-                return len(raw) > 1
+                return len(raw) > 1 and len(prompt) > 1
 
-            self.until(have_arrived, "bytes are not received, or wait for a callback", timeout=self.discovery)
+            self.until(have_arrived, "messages are not received, or wait for a callback", timeout=self.discovery)
             released.set()
             catalogue = TypeCatalogue.of(1 if link.encoding is Encoding.ROS1 else 2)
             message = catalogue.deserialise(_STRING, raw[0].data, link.encoding)
@@ -316,9 +317,7 @@ class GraphLinkContract(RobotLinkContract):
         with self.opened() as robot, self.opened() as link:
             robot.offer("lamp", _TRIGGER, lambda _: {"success": True})
             link.call("lamp", _TRIGGER)
-            error = punctual_refusal(
-                lambda: link.call("lamp", "std_srvs/SetBool", {"data": True}, timeout=2.0), timeout=2.0
-            )
+            error = punctual_refusal(lambda: link.call("lamp", "std_srvs/SetBool", {}, timeout=2.0), timeout=2.0)
             require("lamp" in f"{error.where} {error.problem}", f"the service is not named: {error}")
 
     def test_a_service_that_does_not_answer_is_given_up_at_the_deadline(self) -> None:

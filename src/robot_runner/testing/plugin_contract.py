@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, ClassVar
@@ -13,7 +13,7 @@ from robot_runner.core.config.plugin_checks import misspelt_callbacks
 from robot_runner.core.errors import Finding
 from robot_runner.core.events.context import RobotRunnerContext, SystemClock
 from robot_runner.core.events.manager import EventManager, OwnerKind, RobotRunnerEvents
-from robot_runner.core.events.measure import MeasureValue
+from robot_runner.core.events.measure import Measure, MeasureValue
 from robot_runner.core.links.connect import SIMULATED
 from robot_runner.core.plugin import Circumstances, Plugin, Profiler
 from robot_runner.measuring.quality import MINIMUM_COVERAGE
@@ -21,6 +21,9 @@ from robot_runner.testing.fake_run import FakeClock, FakeLinks, RecordingBroker,
 
 #: The time between two closings, s, so that the second would change the results of a plugin that repeats the work.
 _BETWEEN_CLOSINGS = 0.2
+
+#: The end of a complaint of two runs whose values differ, for an author whose device never reads the same twice.
+_WHERE_VALUES_VARY = "Where equal runs have other values, as on a real device, set is_repeatable = False."
 
 #: How many missions long the runs are in which a profiler gets another chance of a value. A program that samples may be
 #: slow to start on a busy computer, and the mission of a contract is short.
@@ -111,6 +114,9 @@ class PluginContract:
 
     def test_its_measures_have_names_of_their_own_and_a_description(self) -> None:
         """Check that the run table's schema can be written from the measures."""
+        measures: object = self.make_plugin().measures
+        is_list = isinstance(measures, Sequence) and all(isinstance(each, Measure) for each in measures)
+        require(is_list, f'measures is {measures!r}: give a list, such as [Measure("Energy", "J")]')
         names = [measure.name for measure in self.make_plugin().measures]
         require(len(set(names)) == len(names), f"two measures have one name: {names}")
         for measure in self.make_plugin().measures:
@@ -230,7 +236,8 @@ class PluginContract:
 
     def _require_equal(self, ours: Mapping[str, MeasureValue], those: Mapping[str, MeasureValue]) -> None:
         same = ours == those if self.is_repeatable else ours.keys() == those.keys()
-        require(same, f"the plugin published {dict(ours)}, where a new instance published {dict(those)}")
+        told = f"the plugin published {dict(ours)}, where a new instance published {dict(those)}"
+        require(same, f"{told}. {_WHERE_VALUES_VARY}")
 
 
 def _files(folder: Path) -> list[Path]:
@@ -317,7 +324,7 @@ class ProfilerContract(PluginContract):
         require(
             not unsaid,
             f"values depend on the order of the plugins, and no doubt says so: {unsaid}. Evaluate over context.window, "
-            "or tell of a window of your own with note_own_window.",
+            f"or tell of a window of your own with note_own_window. {_WHERE_VALUES_VARY}",
         )
 
     def _with_neighbour(self, folder: Path, *, is_first: bool) -> tuple[dict[str, MeasureValue], set[str]]:

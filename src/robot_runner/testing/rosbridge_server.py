@@ -250,7 +250,7 @@ class RosbridgeServer:
 
     Example:
         >>> from robot_runner.core.events.context import SystemClock
-        >>> from robot_runner.ros.rosbridge_link import open_rosbridge_link
+        >>> from robot_runner.ros.link_opening import open_rosbridge_link
         >>> server = RosbridgeServer()
         >>> server.offer("/task/stop", "std_srvs/Trigger", lambda request: {"success": True})
         >>> link = open_rosbridge_link(server.url, SystemClock())

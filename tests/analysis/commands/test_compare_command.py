@@ -69,6 +69,15 @@ class TestCompare:
         assert "page.html" in answer.out
         assert "<h1>original and replica</h1>" in (tmp_path / "page.html").read_text(encoding="utf-8")
 
+    def test_a_page_is_written_over_no_file_that_is_none(self, robot_runner, tmp_path):
+        table = tmp_path / "original" / "run_table.csv"
+        before = table.read_bytes()
+        answer = robot_runner("compare", "original", "replica", "--html", "original/run_table.csv")
+        assert (answer.code, table.read_bytes()) == (2, before)
+        assert "the file is no page, and would be lost" in answer.err
+        (tmp_path / "page.HTML").write_text("an earlier page")
+        assert robot_runner("compare", "original", "replica", "--html", "page.HTML").code == 0
+
     def test_pairs_are_made_when_asked_for(self, robot_runner):
         facts = robot_runner("compare", "original", "replica", "--paired", "--alpha", "0.1", "--json").json
         assert facts["is_paired"] is True

@@ -54,6 +54,14 @@ def test_it_is_said_where_the_report_of_an_experiment_compares_no_means(lab, est
     assert problems == [f"the plan of this experiment compares {what}, and means are combined" for what in told]
 
 
+def test_values_that_were_changed_by_hand_are_told_of_each_experiment(lab):
+    first, second = lab(TASKS), lab(TASKS)
+    table = (second / "run_table.csv").read_text()
+    (second / "run_table.csv").write_text(table.replace(table.splitlines()[1], "r_1,Done,Video,99.0"))
+    (told,) = (each for each in meta_analyse(first, second).findings if "by hand" in each.problem)
+    assert (told.where, "Energy of r_1 is '99.0'" in told.problem) == ("lab_1", True)
+
+
 def test_without_a_standardised_difference_of_an_experiment_the_page_has_the_others(lab, make_folder):
     # Of two runs of each treatment, of which one does not vary, a single degree of freedom is left: g has no mean.
     rows = [("Video", 30.0), ("Video", 31.5), ("Network", 20.0), ("Network", 20.0)]

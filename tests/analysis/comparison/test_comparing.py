@@ -509,6 +509,16 @@ def test_doubtful_values_of_the_same_runs_are_told_together(tmp_path):
     assert compare(one, other).notes == ("Energy and CPU of r_2 are doubtful in one, and count all the same.",)
 
 
+def test_values_that_were_changed_by_hand_are_told(two_tasks):
+    edited = two_tasks(shifted(VIDEO, 0.8))
+    table = edited.files.run_table
+    table.write_text(table.read_text().replace(",870.9", ",970.9"), encoding="utf-8")
+    (note,) = (each for each in compare(two_tasks().root, edited.root).notes if "by hand" in each)
+    assert note.startswith(
+        f"Of {edited.root.name}, cells of runs that were executed were changed by hand: Energy of r_1"
+    )
+
+
 def test_a_single_name_and_a_bound_of_numpy_are_taken_as_they_are(two_tasks):
     one, other = two_tasks().root, two_tasks().root
     plain = compare(one, other, measures=["Energy"], bound=5)

@@ -17,7 +17,7 @@ from robot_runner.core.storage.table_columns import TableLayout
 if TYPE_CHECKING:
     from pathlib import Path
 
-MODEL = RunTableModel([Factor("Speed", [0.1, 10])], repetitions=2, data_columns=["Energy"])
+MODEL = RunTableModel([Factor("Speed", [0.1, 10])], repetitions=3, data_columns=["Energy"])
 ENDED: dict[str, Any] = {"seconds": 1.0, "failure": None, "stamps": {}}
 TABLE = """\
 run_id,status,Speed,Repetition,Energy
@@ -25,6 +25,8 @@ r_1,Done,0.1,1,11.0
 r_2,Done,10,1,21.5
 r_3,Done,0.1,2,
 r_4,-,10,2,
+r_5,Done,0.1,3,
+r_6,-,10,3,
 """
 
 
@@ -36,6 +38,8 @@ def problems(folder: Path, old: str = "", new: str = "", *, is_known: bool = Tru
             journal.append("attempt_started", run=run, attempt=1, combination={"Speed": speed}, repetition=repetition)
             measures = {"Energy": {"value": energy, "owner": "Ina219", "origin": "measured"}}
             journal.append("attempt_finished", run=run, attempt=1, status="done", **{**ENDED, "measures": measures})
+        journal.append("attempt_started", run="r_5", attempt=1, combination={"Speed": "0.1"}, repetition=3)
+        journal.append("attempt_finished", run="r_5", attempt=1, status="done", **ENDED, measures={})
         if is_known:
             journal.append("table_written", sha256=hashlib.sha256(TABLE.encode()).hexdigest())
         change: dict[str, Any] = {"run": "r_3", "column": "Energy", "was": "", "is": "12"}
@@ -55,6 +59,7 @@ def problems(folder: Path, old: str = "", new: str = "", *, is_known: bool = Tru
         ("0.1,1,11.0", "0.1,2,11.0", "Repetition of r_1 is '2', and was '1'"),
         ("21.5", "21.6", "Energy of r_2 is '21.6', and was '21.5'"),
         ("21.5", "", "Energy of r_2 is empty, and was '21.5'"),
+        ("0.1,3,", "0.1,3,9.5", "Energy of r_5 is '9.5', and was empty"),
     ],
 )
 def test_a_label_and_a_value_that_were_changed_are_named(tmp_path: Path, old: str, new: str, told: str) -> None:

@@ -106,6 +106,8 @@ def execute(arguments: Namespace) -> int:
     """Print the comparison; a difference is not a failure, so the exit code is 0."""
     is_meta = bool(arguments.more) or arguments.meta
     _check_options(arguments, is_meta=is_meta)
+    if arguments.html is not None:
+        _refuse_to_lose(Path(arguments.html).expanduser())
     require_libraries()
     from robot_runner.analysis.report.writing import write_page, write_parts  # noqa: PLC0415 - slow, and an extra
 
@@ -147,6 +149,12 @@ def _check_options(arguments: Namespace, *, is_meta: bool) -> None:
         for name in given
         if getattr(arguments, name.lstrip("-"))
     )
+
+
+def _refuse_to_lose(page: Path) -> None:
+    if page.exists() and page.suffix.casefold() not in {".html", ".htm"}:
+        fix = "Name a page, or one that is not there yet: --html comparison.html."
+        raise StorageError("the file is no page, and would be lost", where=f"--html {page}", fix=fix)
 
 
 def _folders(targets: Sequence[str]) -> list[Path]:

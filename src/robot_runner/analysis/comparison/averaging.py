@@ -99,6 +99,7 @@ def meta_analyse(
     findings += [finding for of in (unit_findings, value_findings) for each in chosen for finding in of(each, alike)]
     findings += [Finding.warning(each.name, why) for each in alike if (why := failures_in_words(each.results))]
     findings += [Finding.warning(each.name, why) for each in alike if (why := _other_estimand(each.results.plan))]
+    findings += [Finding.warning(each.name, odd.problem, odd.fix) for each in alike for odd in each.results.findings]
     AnalysisError.refuse(each for each in findings if each.is_error)
     factors = [name for each in alike for name in each.design.factors]
     return MetaAnalysis(

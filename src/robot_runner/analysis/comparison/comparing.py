@@ -122,7 +122,7 @@ def compare(
         *(
             f"Of {name}, {why}."
             for name, each in zip(called, (ours, theirs), strict=True)
-            if (why := failures_in_words(each))
+            for why in filter(None, (failures_in_words(each), *(found.problem for found in each.findings)))
         ),
         *_note_on_chance(compared, alpha),
     ]

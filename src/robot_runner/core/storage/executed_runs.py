@@ -237,8 +237,9 @@ def edited_findings(journal: Path, table: Path, rows: RunTableRows) -> Iterator[
                 if "repetition" in record:
                     known[record["run"]][REPETITION] = str(record["repetition"])
             case "attempt_finished":
-                measures = {name: measure_text(each["value"]) for name, each in record["measures"].items()}
-                known.setdefault(record["run"], {}).update(measures)
+                values = {name: each["value"] for name, each in record["measures"].items()}
+                told = {name: measure_text(values.get(name)) for name in rows.layout.measures}
+                known.setdefault(record["run"], {}).update(told)
             case _:
                 known.setdefault(record["run"], {})[record["column"]] = record["is"]
     found = [cell for place in range(len(rows)) for cell in _edited(rows, place, known)]
@@ -255,9 +256,10 @@ def _edited(rows: RunTableRows, place: int, known: dict[str, dict[str, str]]) ->
     row = rows.row(place)
     for name in (*rows.combination(place), REPETITION, *rows.layout.measures):
         if name in known[run_id] and name in row and not _is_alike(known[run_id][name], row[name]):
-            is_empty = row[name] is None and name in rows.layout.measures  # a treatment may be None
-            is_now = "empty" if is_empty else repr(str(row[name]))
-            yield f"{name} of {run_id} is {is_now}, and was {known[run_id][name]!r}"
+            is_measure = name in rows.layout.measures  # of which an empty cell is no value; a treatment may be None
+            is_now = "empty" if is_measure and row[name] is None else repr(str(row[name]))
+            was = "empty" if is_measure and not known[run_id][name] else repr(known[run_id][name])
+            yield f"{name} of {run_id} is {is_now}, and was {was}"
 
 
 def _is_alike(text: str, cell: Any) -> bool:

@@ -3,7 +3,9 @@ import { $, ask, element, setText } from "./parts.js";
 import { showIndex } from "./index.js";
 import * as experiment from "./experiment.js";
 
-const page = { about: null, source: null, shown: null, retry: 0, isLost: false };
+const page = { about: null, source: null, shown: null, retry: 0, heard: 0 };
+// How long a tab that nobody sees waits between its looks. Something comes every 15 s; who hears nothing for longer is cut off.
+const REST_MS = 10000, SILENT_MS = 40000;
 
 // ---- light and dark
 
@@ -36,7 +38,6 @@ async function begin() {
   if (answer.status === 401) { return showLogin(); }
   if (!answer.ok) { return notice(answer.said.problem); }
   page.about = answer.said;
-  notice("");
   $("login").hidden = true;
   $("share").hidden = false;
   route();
@@ -65,9 +66,9 @@ export function notice(text) {
 
 function route() {
   const found = /^#\/e\/([0-9a-f]{16})$/.exec(location.hash);
-  const id = found ? found[1] : page.about.only;
-  stop();
-  $("home").hidden = !(id && page.about.only !== id);
+  const id = page.about.only || (found && found[1]);
+  notice("");
+  $("home").hidden = !id || Boolean(page.about.only);
   $("index").hidden = Boolean(id);
   $("experiment").hidden = !id;
   page.shown = id;
@@ -87,26 +88,47 @@ function stop() {
 
 function follow() {
   stop();
-  const base = page.shown ? "/api/experiments/" + page.shown : "/api";
-  const source = page.source = new EventSource(base + "/events");
-  const on = (name, take) => source.addEventListener(name, (event) => take(JSON.parse(event.data)));
-  source.addEventListener("open", () => { connected(true); });
-  source.addEventListener("error", () => { connected(false); if (source.readyState === EventSource.CLOSED) { page.retry = setTimeout(again, 1500); } });
+  page.heard = performance.now();
+  const source = page.source = new EventSource(base() + "/events");
+  const on = (name, take) => source.addEventListener(name, (event) => { page.heard = performance.now(); take(JSON.parse(event.data)); });
+  source.addEventListener("open", () => connected(true));
+  source.addEventListener("error", () => { stop(); connected(false); page.retry = setTimeout(again, 1000); });
   on("again", follow);
+  on("here", () => {});
   if (page.shown) {
     for (const name of ["state", "table", "rows", "means", "findings", "log", "samples"]) { on(name, (data) => experiment.take(name, data)); }
   } else {
     on("experiments", showIndex);
   }
+  on(page.shown ? "state" : "experiments", rest);
 }
 
+const base = () => page.shown ? "/api/experiments/" + page.shown : "/api";
+
+// A browser has six connections to a server, for all tabs: one that nobody sees keeps none, and only its title up to date.
+function rest() {
+  if (document.hidden) { stop(); page.retry = setTimeout(again, REST_MS); }
+}
+document.addEventListener("visibilitychange", () => { if (page.about && $("login").hidden) { again(); } });
+
+setInterval(() => { if (page.source && performance.now() - page.heard > SILENT_MS) { connected(false); again(); } }, 1000);
+
+// Meanwhile another server may answer at this address, of another folder or with other rights, and an experiment may be gone.
 async function again() {
+  stop();
   const answer = await ask("/api/about").catch(() => null);
-  if (answer && answer.status === 401) { showLogin(); } else if (answer && answer.ok) { page.about = answer.said; follow(); } else { page.retry = setTimeout(again, 1500); }
+  if (answer && answer.status === 401) { return showLogin(); }
+  const there = answer && page.shown ? await ask(base() + "/rows?count=0").catch(() => null) : answer;
+  if (!answer || !answer.ok || !there) { connected(false); stop(); page.retry = setTimeout(again, 1500); return; }
+  const isSame = JSON.stringify(answer.said) === JSON.stringify(page.about), isGone = there.status === 404;
+  page.about = answer.said;
+  if (isSame && !isGone) { return follow(); }
+  if (isGone) { history.replaceState(null, "", location.pathname); }
+  route();
+  if (isSame) { notice(there.said.problem); }
 }
 
 function connected(is) {
-  page.isLost = !is;
   setText($("link"), is ? "live" : "connection lost, trying again");
   $("link").classList.toggle("lost", !is);
 }

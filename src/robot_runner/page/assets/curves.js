@@ -10,13 +10,13 @@ export function begin(base) {
 }
 
 export function changed(data) {
-  const ended = view.flying && !(view.flying in data.runs) ? view.flying : null;
+  const before = view.chosen ?? view.flying, hasEnded = before in view.versions && !(before in data.runs);
   view.versions = data.runs;
   view.flying = view.watched in data.runs ? view.watched : Object.keys(data.runs)[0];
-  const version = data.runs[view.flying];
   // A run that has ended is looked at once more: its samples are whole now, and no longer those shown, or asked for, on the way.
-  if (ended !== null && view.chosen === null) { load(ended); return; }
-  if (view.flying && view.chosen === null && (view.run !== view.flying || view.version !== version)) { view.version = version; load(view.flying); }
+  if (hasEnded) { load(before); return; }
+  const run = view.chosen ?? view.flying, version = data.runs[run];
+  if (version !== undefined && (view.run !== run || view.version !== version)) { view.version = version; load(run); }
 }
 
 // Of several runs in flight, follow this one; null is the first.
@@ -86,7 +86,7 @@ function draw(chosen) {
   chosen.forEach((each, place) => {
     const plot = view.plots[place];
     plot.chart.setData([each.file.times, each.column.high, each.column.low]);
-    setText(plot.readout, "last " + number(each.column.last) + " at " + number(each.file.last_at) + " s" + (each.file.is_cut ? ": later ones are not drawn, the file is too long" : each.file.is_live ? ", being taken" : ""));
+    setText(plot.readout, "last " + number(each.column.last) + " at " + number(each.column.last_at) + " s" + (each.file.is_cut ? ": later ones are not drawn, the file is too long" : each.file.is_live ? ", being taken" : ""));
   });
 }
 

@@ -15,6 +15,8 @@ const EVENTS = {
 };
 // How long what was done stays to be read: what holds then is told by the state.
 const SAID_MS = 10000;
+// A telephone that writes 0,5 has no point beside its digits, and decimals stand behind one here.
+const DECIMAL = (0.5).toLocaleString().includes(".") ? "decimal" : "text";
 const shown = { id: null, about: null, state: null, means: null, factor: 0, measure: 0, asked: "", arrived: 0, logs: {}, watched: null };
 
 export function word(name) {
@@ -27,6 +29,7 @@ export function begin(id, about) {
   for (const part of ["ask", "flights", "curves", "way", "means", "table", "findings", "log"]) { $(part).hidden = true; }
   setText($("title"), "…");
   setText($("said"), "");
+  $("dialog").close();  // it would stop another experiment than it names
   table.begin("/api/experiments/" + id, (run) => curves.choose(run));
   curves.begin("/api/experiments/" + id);
 }
@@ -218,7 +221,7 @@ function field(question, place) {
   }
   const attributes = { id: id, name: question.name, "aria-describedby": described, autocomplete: "off" };
   const control = options.length ? element("select", attributes, element("option", { value: "" }, ""), ...options.map((option) => element("option", {}, option)))
-    : element("input", Object.assign(attributes, { inputmode: question.type === "number" ? "decimal" : question.type === "whole number" ? "numeric" : "text" }));
+    : element("input", Object.assign(attributes, { inputmode: question.type === "number" ? DECIMAL : question.type === "whole number" ? "numeric" : "text" }));
   return element("div", { class: "field", "data-question": question.name }, element("label", { for: id }, question.text || question.name), control, hint, error);
 }
 

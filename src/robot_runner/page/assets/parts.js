@@ -55,7 +55,9 @@ export async function ask(address, body) {
   const options = body === undefined ? {} : {
     method: "POST", body: JSON.stringify(body), headers: { "content-type": "application/json", "x-robot-runner": "1" },
   };
-  const answer = await fetch(address, Object.assign({ credentials: "same-origin", cache: "no-store" }, options));
+  // A connection that is dead without a word would be waited for a quarter of an hour.
+  const signal = AbortSignal.timeout(60000);
+  const answer = await fetch(address, Object.assign({ credentials: "same-origin", cache: "no-store", signal: signal }, options));
   let said = {};
   try { said = await answer.json(); } catch (error) { said = { problem: "The server's answer cannot be read." }; }
   return { status: answer.status, ok: answer.ok, said: said };
