@@ -15,6 +15,7 @@ from robot_runner import (
     all_of,
     any_of,
     battery_above,
+    battery_below,
     load_above,
     load_below,
     measure_above,
@@ -137,6 +138,19 @@ def test_what_is_inside_and_outside_lets_both_times_go_by(tmp_path: Path) -> Non
 )
 def test_what_can_never_hold_is_found(condition: Condition, problem: str) -> None:
     assert any(finding.is_error and problem in finding.problem for finding in condition.check(None))
+
+
+@pytest.mark.parametrize(
+    ("condition", "fix"),
+    [
+        (battery_below(0.15), "Give 15 if 15 % is meant."),
+        (battery_above(0.4).held_for(3), "Give 40 if 40 % is meant."),
+        (load_below(0.5, host="localhost"), "Give 50 if 50 % is meant."),
+    ],
+)
+def test_a_share_where_percents_are_meant_is_told_of(condition: Condition, fix: str) -> None:
+    found = [each for each in condition.check("ros2") if "less than 1 %" in each.problem]
+    assert [(each.is_error, each.fix) for each in found] == [(False, f"Limits are in percent. {fix}")]
 
 
 def test_what_can_hold_is_not_refused() -> None:

@@ -144,6 +144,7 @@ def test_a_look_at_an_answer_that_never_ends_has_an_end(
         (lambda: http_answers("ftp://robot"), "'ftp://robot' is not the address of a web server"),
         (lambda: http_answers("http://robot..local/"), "'http://robot..local/' is not the address of a web server"),
         (lambda: http_answers("http://robot/büro"), "'http://robot/büro' is not the address of a web server"),
+        (lambda: http_answers(8080), "8080 is not the address of a web server"),
         (lambda: http_answers("http://robot:port/"), "is not the address of a web server"),
         (lambda: http_answers("http://robot/", status="200"), "'200' is not the status of an answer"),
         (lambda: http_answers("http://robot/", text=b"ok"), "b'ok' is not text"),

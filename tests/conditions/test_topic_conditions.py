@@ -204,7 +204,7 @@ def test_a_charge_in_percent_is_not_taken_for_a_share(robot: Robot) -> None:
 
 def test_nothing_is_known_of_messages_that_cannot_be_subscribed(tmp_path: Path) -> None:
     class Unreachable(FakeRobotLink):
-        def subscribe(self, *_: object) -> NoReturn:
+        def subscribe(self, *_: object, **__: object) -> NoReturn:
             raise LinkError("the graph cannot be reached", where="robot", fix="Look at it.")
 
     clock = FakeClock()
@@ -246,6 +246,32 @@ def test_a_field_that_no_message_has_ends_the_wait(robot: Robot, make: Callable[
     with pytest.raises((ConditionError, KeyError), match=problem):
         robot.waits(make())
     assert robot.clock.now() < 2.0
+
+
+@pytest.mark.parametrize(
+    ("make", "problem"),
+    [
+        (lambda: topic_above(5, ODOMETRY, "x", 1), "5 cannot be the name of a topic"),
+        (lambda: message_on("odom", ODOMETRY, namespace=None), "None cannot be the name of a namespace"),
+        (lambda: node_present(None), "None cannot be the name of a topic or service"),
+        (lambda: battery_below(15, namespace=7), "7 cannot be the name of a namespace"),
+        (lambda: topic_below("odom", ODOMETRY, 5, 1), "5 is not a field"),
+        (lambda: topic_below("odom", ODOMETRY, "", 1), "'' is not a field"),
+        (lambda: topic_above("odom", "Odometry", "x", 1), "'Odometry' is not the type of a message"),
+        (lambda: message_on("odom", 5), "5 is not the type of a message"),
+        (lambda: topic_present("scan", "LaserScan"), "'LaserScan' is not the type of a message"),
+    ],
+)
+def test_what_cannot_be_a_name_a_type_or_a_field_is_refused_in_the_config(
+    make: Callable[[], Condition], problem: str
+) -> None:
+    with pytest.raises((ConditionError, LinkError), match=problem):
+        make()
+
+
+def test_both_spellings_of_a_type_are_taken() -> None:
+    assert str(message_on("odom", "nav_msgs/msg/Odometry")) == str(message_on("odom", ODOMETRY))
+    assert str(topic_present("scan", "sensor_msgs/msg/LaserScan")).endswith("is there")
 
 
 def test_what_needs_a_robot_is_refused_where_there_is_none(tmp_path: Path) -> None:

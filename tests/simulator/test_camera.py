@@ -13,7 +13,7 @@ from tests.ros.ros1_master import quiet_about_rospy
 from robot_runner.core.errors import LinkError
 from robot_runner.core.events.context import SystemClock
 from robot_runner.core.links.robot import Encoding
-from robot_runner.ros.ros1_link import open_ros1_link
+from robot_runner.ros.link_opening import open_ros1_link
 from robot_runner.simulator import camera as camera_module
 from robot_runner.simulator.graph_robot import GraphRobot, SimulatedPlace
 from robot_runner.simulator.rooms import Cylinder, Room
@@ -72,7 +72,8 @@ def test_its_information_is_that_of_a_pinhole(simulation):
 
 @pytest.mark.long
 @needs_rendering
-def test_on_a_graph_it_renders_only_while_somebody_else_looks(simulation):
+@pytest.mark.parametrize("is_shared", [False, True])  # as of a client of the server of our rosbridge
+def test_on_a_graph_it_renders_only_while_somebody_else_looks(simulation, is_shared):
     link = FakeRobotLink(FakeClock(), is_simulated=True)
     robot = GraphRobot(link, simulation, SimulatedPlace(link="dds", has_camera=True))
     of_camera = lambda: [each for each in link.publications if each.topic == "camera/image_raw"]  # noqa: E731
@@ -81,7 +82,7 @@ def test_on_a_graph_it_renders_only_while_somebody_else_looks(simulation):
     robot.watch_camera()
     simulation.clock.sleep(1.0)
     assert len(of_camera()) == 1
-    link.known_subscribers["/camera/image_raw"] = link.nodes() and [_viewer()]
+    link.known_subscribers["/camera/image_raw"] = link.nodes() and [_viewer(is_shared=is_shared)]
     robot.watch_camera()
     simulation.clock.sleep(1.0)
     assert len(of_camera()) == 6
@@ -122,10 +123,10 @@ def test_on_ros1_its_information_has_the_matrices_in_capitals(simulation, master
             own.publish("other_info", "sensor_msgs/CameraInfo", {"k": [0.0] * 9})
 
 
-def _viewer():
+def _viewer(*, is_shared):
     from robot_runner.core.links.robot import GraphEndpoint
 
-    return GraphEndpoint("/rviz", "sensor_msgs/Image")
+    return GraphEndpoint("/rviz", "sensor_msgs/Image", is_own=is_shared, is_shared=is_shared)
 
 
 def test_a_machine_that_cannot_render_says_why_to_who_subscribes(simulation, monkeypatch):

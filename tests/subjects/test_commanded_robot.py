@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from typing import TYPE_CHECKING
 
 import pytest
+from tests.waiting import PATIENCE, wait_until
 
 from robot_runner.core.errors import LinkError
 from robot_runner.core.events.context import SystemClock
 from robot_runner.core.links.robot import GraphEndpoint, Qos
-from robot_runner.subjects import commanded_robot
+from robot_runner.plugins.systems import Program
+from robot_runner.subjects import commanded_robot, subject
 from robot_runner.subjects.commanded_robot import CommandedRobot
 from robot_runner.testing import make_context
 
@@ -58,6 +61,23 @@ def test_a_robot_is_halted_also_after_a_run_that_is_over_before_its_graph_is_kno
     commanded.connect()
     commanded.look()
     commanded.look_at_last()
+    commanded.halt()
+    assert graph.commanded == ["/cmd_vel"]
+
+
+class SharedServer(SlowGraph):
+    """A graph behind a rosbridge's server, whose client the robot is, too."""
+
+    def subscribers(self, topic: str) -> list[GraphEndpoint]:
+        return [GraphEndpoint("/rosbridge_websocket", TWIST, is_own=True, is_shared=True)]
+
+
+def test_a_robot_behind_the_server_of_our_own_link_is_halted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    graph = SharedServer(0.0)
+    monkeypatch.setattr(commanded_robot, "connect_robot", lambda _: graph)
+    commanded = CommandedRobot(make_context(tmp_path, robot="rosbridge://robot", clock=SystemClock()))
+    commanded.connect()
+    commanded.look()
     commanded.halt()
     assert graph.commanded == ["/cmd_vel"]
 
@@ -163,3 +183,62 @@ def test_a_program_that_ends_in_a_mission_does_not_stop_a_robot_that_the_mission
     robot.look()
     robot.halt()
     assert graph.commanded == ["/cmd_vel"], "a node of its own has commanded it since"
+
+
+class HangingGraph(SlowGraph):
+    """A graph that does not tell anything any more, as a busy rosapi does for seconds."""
+
+    def __init__(self) -> None:
+        super().__init__(0.0)
+        self.answers = threading.Event()
+        self.is_asked = threading.Event()
+        self.answers.set()
+
+    def topics(self) -> dict[str, str]:
+        self.is_asked.set()
+        self.answers.wait(PATIENCE)
+        return super().topics()
+
+
+@pytest.mark.long
+@pytest.mark.filterwarnings("ignore:Exception in thread watch over:pytest.PytestUnhandledThreadExceptionWarning")
+@pytest.mark.parametrize("exit_codes", [[0], []])
+def test_the_robot_of_a_program_that_ends_is_halted_at_once_though_its_graph_does_not_answer(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, exit_codes: list[int]
+) -> None:
+    graph = HangingGraph()
+    monkeypatch.setattr(commanded_robot, "connect_robot", lambda _: graph)
+    monkeypatch.setattr(subject, "_ROBOT_LOOK", 0.05)
+    planner = Program(["sh", "-c", f"while [ ! -e {tmp_path}/end ]; do sleep 0.05; done"], exit_codes=exit_codes)
+    context = make_context(tmp_path, planner, robot="ros1", clock=SystemClock())
+    planner.start_run(context)
+    graph.answers.clear()
+    graph.is_asked.clear()
+    assert graph.is_asked.wait(PATIENCE)
+    (tmp_path / "end").touch()
+    try:
+        wait_until(lambda: graph.commanded == ["/cmd_vel"])
+    finally:
+        graph.answers.set()
+        planner.stop_run(context)
+    assert len(graph.commanded) > 1, "once more, as it may have commanded others, or again, since the last look"
+
+
+@pytest.mark.long
+def test_a_program_that_is_to_end_is_ended_though_its_graph_does_not_answer(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    graph = HangingGraph()
+    monkeypatch.setattr(commanded_robot, "connect_robot", lambda _: graph)
+    planner = Program(["sh", "-c", f"trap 'touch {tmp_path}/ended; exit' TERM; while :; do sleep 0.05; done"])
+    context = make_context(tmp_path, planner, robot="ros1", clock=SystemClock())
+    planner.start_run(context)
+    graph.answers.clear()
+    ending = threading.Thread(target=planner.stop_run, args=(context,))
+    ending.start()
+    try:
+        wait_until((tmp_path / "ended").exists)
+        wait_until(lambda: graph.commanded == ["/cmd_vel"])
+    finally:
+        graph.answers.set()
+        ending.join(PATIENCE)

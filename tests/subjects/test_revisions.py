@@ -22,6 +22,7 @@ from tests.waiting import wait_until
 from robot_runner.core.config.preparation import prepare
 from robot_runner.core.errors import DesignError, ExecutionError
 from robot_runner.core.storage.manifest import read_manifest
+from robot_runner.subjects import revisions
 from robot_runner.subjects.work_tree import cache_folder
 
 if TYPE_CHECKING:
@@ -217,6 +218,27 @@ def test_what_is_no_revision_is_found_before_anything_is_touched(
     (dirty,) = problems(table(repository.folder))
     assert "has changes that were not committed: they are in none of the revisions" in dirty
     assert not cache_folder().exists()
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root can give files to another user")
+def test_a_repository_of_another_user_is_refused_with_what_git_advises(repository: Repository) -> None:
+    for path in (repository.folder, repository.folder / ".git"):
+        os.chown(path, 65534, 65534)
+    with pytest.raises(ExecutionError, match="git finds no repository: fatal: detected dubious ownership") as caught:
+        revisions.Repository(str(repository.folder))
+    assert caught.value.fix == f"Execute: git config --global --add safe.directory {repository.folder}"
+
+
+def test_a_repository_that_ssh_cannot_reach_is_refused_with_the_reason_of_ssh(monkeypatch: pytest.MonkeyPatch) -> None:
+    told = (
+        b"Warning: Permanently added 'host'\ngit@host: Permission denied (publickey).\n"
+        b"fatal: Could not read from remote repository.\n\n"
+        b"Please make sure you have the correct access rights\nand the repository exists.\n"
+    )
+    refused = subprocess.CompletedProcess((), 128, b"", told)
+    monkeypatch.setattr(revisions, "git", lambda *_, **__: refused)
+    with pytest.raises(ExecutionError, match=r"git finds no repository: git@host: Permission denied \(publickey\)"):
+        revisions.Repository("git@host:planner.git")
 
 
 def test_names_that_cannot_be_revisions_are_refused_by_the_factor() -> None:

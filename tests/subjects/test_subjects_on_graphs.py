@@ -17,7 +17,7 @@ from robot_runner import all_of, lifecycle_state, topic_present
 from robot_runner.core.events.context import SystemClock
 from robot_runner.core.events.early_end import RunFailed
 from robot_runner.plugins.systems import Program
-from robot_runner.ros.dds_link import open_dds_link
+from robot_runner.ros.link_opening import open_dds_link
 from robot_runner.testing import make_context, rehearse
 
 if TYPE_CHECKING:
@@ -30,7 +30,7 @@ pytestmark = pytest.mark.skipif(importlib.util.find_spec("cyclonedds") is None, 
 NODE = """
 import sys, time
 from robot_runner.core.events.context import SystemClock
-from robot_runner.ros.dds_link import open_dds_link
+from robot_runner.ros.link_opening import open_dds_link
 from robot_runner.ros.lifecycle import LifecycleState
 from robot_runner.testing import LifecycleNode
 
@@ -49,7 +49,7 @@ time.sleep(60)
 PLANNER = """
 import sys, time
 from robot_runner.core.events.context import SystemClock
-from robot_runner.ros.dds_link import open_dds_link
+from robot_runner.ros.link_opening import open_dds_link
 
 link = open_dds_link({"domain": sys.argv[1], "distro": "jazzy"}, SystemClock())
 while True:
@@ -75,11 +75,11 @@ def test_a_robot_that_it_commands_stands_still_once_it_has_ended(
     context = make_context(tmp_path, planner, robot=f"dds:domain={domain},distro=jazzy", clock=SystemClock())
 
     def stands_still() -> bool:
-        # Not by `wait_for`: its own subscription may be made only after the command.
+        # Not by `wait_for`: its own subscription may be made only after the command, and hear a message before `heard`.
         deadline = time.monotonic() + 20.0
-        while heard[-1] and time.monotonic() < deadline:
+        while heard[-1:] != [0.0] and time.monotonic() < deadline:
             time.sleep(0.01)
-        return heard[-1] == 0.0
+        return heard[-1:] == [0.0]
 
     def mission() -> None:
         robot.wait_for("/cmd_vel", "geometry_msgs/Twist", lambda twist: twist["linear"]["x"] > 0, timeout=20.0)
@@ -97,7 +97,7 @@ def test_a_robot_that_it_commands_stands_still_once_it_has_ended(
 ONCE = """
 import os, sys, time
 from robot_runner.core.events.context import SystemClock
-from robot_runner.ros.dds_link import open_dds_link
+from robot_runner.ros.link_opening import open_dds_link
 
 link = open_dds_link({"domain": sys.argv[1], "distro": "jazzy"}, SystemClock())
 while not os.path.exists(sys.argv[2]):

@@ -112,8 +112,8 @@ def shouting(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     ssh, home = tmp_path / "bin" / "ssh", tmp_path / "the home"
     ssh.parent.mkdir()
     home.mkdir()
-    shell = "#!/bin/sh\nprintf 'Welcome to robot 0\\n\\033]0;robot\\007'\nfor last; do :; done\nexec sh -c \"$last\"\n"
-    ssh.write_text(shell)
+    greeting = "printf 'Welcome to robot 0\\n\\033]0;robot\\007'"
+    ssh.write_text(f'#!/bin/sh\ncd\n{greeting}\nfor last; do :; done\nexec sh -c "$last"\n')
     ssh.chmod(0o755)
     monkeypatch.setenv("PATH", str(ssh.parent), prepend=os.pathsep)
     monkeypatch.setenv("HOME", str(home))
@@ -124,6 +124,7 @@ def shouting(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def test_what_a_login_shell_writes_is_no_answer_and_paths_may_begin_at_home(
     execute: Callable[..., Executed], shouting: Path
 ) -> None:
+    (shouting / "signal.py").write_text("raise SystemExit('the author had a look at a signal here')")
     (shouting / "ws").mkdir()
     (shouting / "ws" / "setup.sh").write_text("PLANNER=teb$#\nexport PLANNER\n")
     body = """

@@ -16,7 +16,7 @@ import pytest
 from tests.subjects.conftest import gone
 
 from robot_runner.core.config.treatment_makers import Workshop
-from robot_runner.core.errors import StorageError
+from robot_runner.core.errors import ExecutionError, StorageError
 from robot_runner.core.storage.git_repository import git
 from robot_runner.subjects import work_tree
 from robot_runner.subjects.work_tree import WorkTree, is_kept, kept_name
@@ -147,3 +147,72 @@ def test_what_the_disk_does_not_take_of_a_work_tree_is_named(
     with pytest.raises(StorageError, match=f"{named}: the file cannot be written: No space left") as caught:
         tree.made("main", log, Workshop(tmp_path, lambda: False, print))
     assert caught.value.fix == "Make room on the disk, then try again."
+
+
+POINTER = "version https://git-lfs.github.com/spec/v1\noid sha256:4d7a214614ab2935c943f9e0ff69d22e\nsize 12345\n"
+
+
+def with_a_file_in_lfs(repository: Repository) -> str:
+    """Commit a pointer, as `git lfs` leaves it in each commit."""
+    (repository.folder / ".gitattributes").write_text("*.bin filter=lfs diff=lfs merge=lfs -text\n")
+    (repository.folder / "weights.bin").write_text(POINTER)
+    repository.git("add", "--all")
+    repository.commit("in Git LFS")
+    return repository.commit_of("main")
+
+
+def test_a_revision_whose_files_in_git_lfs_were_not_fetched_is_refused(repository: Repository, tmp_path: Path) -> None:
+    tree = WorkTree(str(repository.folder), with_a_file_in_lfs(repository), "")
+    with pytest.raises(ExecutionError, match="is in Git LFS, and only its pointer was fetched") as caught:
+        tree.made("main", tmp_path / "log", Workshop(tmp_path, lambda: False, print))
+    assert caught.value.problem.startswith("'weights.bin' ")
+    assert caught.value.fix == "Install git-lfs, and execute: git lfs install."
+
+
+def test_a_revision_with_files_in_git_lfs_is_made_where_that_is_installed_and_not_kept(
+    repository: Repository, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("GIT_CONFIG_COUNT", "2")
+    for number, (name, value) in enumerate({"smudge": "echo the weights", "clean": f"printf '{POINTER}'"}.items()):
+        monkeypatch.setenv(f"GIT_CONFIG_KEY_{number}", f"filter.lfs.{name}")
+        monkeypatch.setenv(f"GIT_CONFIG_VALUE_{number}", value)
+    commit = with_a_file_in_lfs(repository)
+    tree = WorkTree(str(repository.folder), commit, "")
+    tree.made("main", tmp_path / "log", Workshop(tmp_path, lambda: False, print))
+    assert (tree.folder / "weights.bin").read_text() == "the weights\n"
+    assert not is_kept(tmp_path / "copy.git", {commit: tree.folder})  # it would have the pointers alone
+
+
+@pytest.fixture
+def library(tmp_path: Path) -> Path:
+    """Return a bare repository for a submodule, beside which others can lie."""
+    subprocess.run(["git", "init", "--quiet", "--bare", tmp_path / "upstream/library.git"], check=True)
+    return tmp_path / "upstream/library.git"
+
+
+def with_a_submodule(repository: Repository, library: Path, url: str) -> str:
+    repository.git("push", "--quiet", str(library), "main")
+    (repository.folder / ".gitmodules").write_text(f'[submodule "library"]\n\tpath = library\n\turl = {url}\n')
+    repository.git("add", ".gitmodules")
+    repository.git("update-index", "--add", "--cacheinfo", f"160000,{repository.commit_of('main')},library")
+    repository.commit("with a submodule")
+    return repository.commit_of("main")
+
+
+def test_a_submodule_beside_the_upstream_of_a_folder_is_found(
+    repository: Repository, library: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name, value in (("COUNT", "1"), ("KEY_0", "protocol.file.allow"), ("VALUE_0", "always")):
+        monkeypatch.setenv(f"GIT_CONFIG_{name}", value)
+    repository.git("remote", "add", "origin", (library.parent / "planner.git").as_uri())
+    tree = WorkTree(str(repository.folder), with_a_submodule(repository, library, "../library.git"), "")
+    tree.made("main", tmp_path / "log", Workshop(tmp_path, lambda: False, print))
+    assert (tree.folder / "library/planner.sh").is_file()
+
+
+def test_a_submodule_that_cannot_be_fetched_is_refused_with_the_reason_of_git(
+    repository: Repository, library: Path, tmp_path: Path
+) -> None:
+    tree = WorkTree(str(repository.folder), with_a_submodule(repository, library, "file:///nowhere/library.git"), "")
+    with pytest.raises(ExecutionError, match="git submodule failed: fatal: transport 'file' not allowed"):
+        tree.made("main", tmp_path / "log", Workshop(tmp_path, lambda: False, print))

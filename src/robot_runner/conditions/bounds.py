@@ -83,6 +83,9 @@ class Bound(Condition):
             problem = f"{quantity} is never {'below' if self.is_below else 'above'} {_shown(self.limit, unit)}"
             lies = f"{_shown(quantity.low, unit)} and {_shown(quantity.high, unit)}"
             yield Finding.error(f"condition {str(self)!r}", problem, f"Choose a limit between {lies}.")
+        if unit == "%" and 0 < self.limit < 1:  # ROS itself has a state of charge from 0 to 1
+            fix = f"Limits are in percent. Give {100 * self.limit:g} if {100 * self.limit:g} % is meant."
+            yield Finding.warning(f"condition {str(self)!r}", "its limit is less than 1 %", fix)
 
     def watch(self, context: RobotRunnerContext, opened: ExitStack) -> LookAgain:
         """Begin to watch the quantity."""

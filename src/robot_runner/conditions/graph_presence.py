@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from abc import abstractmethod
 from collections.abc import Iterable
 from contextlib import ExitStack
@@ -43,12 +44,15 @@ def topic_present(topic: str, message_type: str | None = None, *, namespace: str
         namespace: which robot, where there are several.
 
     Raises:
+        ConditionError: it cannot be a type.
         LinkError: it cannot be a name.
 
     Example:
         >>> print(topic_present("scan", "sensor_msgs/LaserScan"))
         the topic /scan (sensor_msgs/LaserScan) is there
     """
+    if message_type is not None:
+        check_type_named(message_type, where=topic)
     return _Present("topic", _checked(topic), namespace, message_type)
 
 
@@ -81,6 +85,13 @@ def lifecycle_state(node: str, state: str = "active", *, namespace: str = "") ->
 def _checked(name: str) -> str:
     full_name("", name)
     return name
+
+
+def check_type_named(message_type: object, *, where: str) -> None:
+    """Check that a message type has a package and a name; a `ConditionError` says that it has not."""
+    if not isinstance(message_type, str) or not re.fullmatch(r"\w+(/msg)?/\w+", message_type):
+        fix = "Give it with its package: 'sensor_msgs/LaserScan'."
+        raise ConditionError(f"{message_type!r} is not the type of a message", where=where, fix=fix)
 
 
 def check_robot_named(what: str, robot: str | None) -> Iterable[Finding]:

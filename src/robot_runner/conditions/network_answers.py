@@ -73,7 +73,7 @@ def http_answers(url: str, *, status: int | None = None, text: str = "") -> Cond
     try:
         parts = urllib.parse.urlsplit(url)
         is_good = parts.scheme in {"http", "https"} and _is_name(parts.hostname or "") and parts.port != 0
-    except ValueError:
+    except (AttributeError, ValueError):  # it is no text, or cannot be an address
         is_good, parts = False, urllib.parse.urlsplit("")
     if parts.username is not None or parts.password is not None:
         fix = "Leave the user and the password out, and await another status: status=401."

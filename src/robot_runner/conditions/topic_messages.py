@@ -12,7 +12,7 @@ from pathlib import Path
 from robot_runner.conditions.bounds import Bound, Quantity, Reading
 from robot_runner.conditions.computer_state import ComputerBattery
 from robot_runner.conditions.computers import ComputerName
-from robot_runner.conditions.graph_presence import check_robot_named
+from robot_runner.conditions.graph_presence import check_robot_named, check_type_named
 from robot_runner.core.design.numeric_range import is_number
 from robot_runner.core.errors import ConditionError, Finding, LinkError
 from robot_runner.core.events.condition import Condition, Look, LookAgain
@@ -49,7 +49,7 @@ def message_on(
         namespace: which robot, where there are several.
 
     Raises:
-        ConditionError: the predicate cannot be called.
+        ConditionError: the predicate cannot be called, or it cannot be a type.
         LinkError: it cannot be the name of a topic.
 
     Example:
@@ -77,7 +77,7 @@ def topic_above(
             fallen silent: after 20 messages or more for 10 s, and for ten times the longest time between two.
 
     Raises:
-        ConditionError: the limit is not a finite number, or `within_s` is not positive.
+        ConditionError: the limit is not a finite number, `within_s` is not positive, or it cannot be a type or a field.
         LinkError: it cannot be the name of a topic.
 
     Example:
@@ -159,7 +159,9 @@ class _Listening:
         context: RobotRunnerContext,
         namespace: str,
         opened: ExitStack,
+        is_prompt: bool = True,
     ) -> None:
+        self._is_prompt = is_prompt
         self._wanted = (topic, message_type, take)
         self._context, self._namespace = context, namespace
         self.name = full_name(robot_namespace(context, namespace), topic)
@@ -181,7 +183,7 @@ class _Listening:
         self._next = now + _AGAIN
         try:
             link = connect_robot(self._context, namespace=self._namespace)
-            self._opened.callback(link.subscribe(*self._wanted).close)
+            self._opened.callback(link.subscribe(*self._wanted, is_prompt=self._is_prompt).close)
         except LinkError as error:
             if self._context.robot is None or is_simulated(self._context.robot):
                 raise
@@ -200,6 +202,7 @@ class _MessageOn(Condition):
 
     def __post_init__(self) -> None:
         full_name(self.namespace, self.topic)
+        check_type_named(self.message_type, where=self.topic)
 
     def __str__(self) -> str:
         there = "came" if self.predicate is None else "satisfies the predicate"
@@ -211,7 +214,13 @@ class _MessageOn(Condition):
     def watch(self, context: RobotRunnerContext, opened: ExitStack) -> LookAgain:
         seen = _Judged(self.predicate)
         listening = _Listening(
-            self.topic, self.message_type, seen.take, context=context, namespace=self.namespace, opened=opened
+            self.topic,
+            self.message_type,
+            seen.take,
+            context=context,
+            namespace=self.namespace,
+            opened=opened,
+            is_prompt=self.predicate is None,  # which may take long
         )
 
         def look() -> Look:
@@ -263,6 +272,10 @@ class _TopicField(Quantity):
 
     def __post_init__(self) -> None:
         full_name(self.namespace, self.topic)
+        check_type_named(self.message_type, where=self.topic)
+        if not isinstance(self.field, str) or not self.field:
+            fix = "Name it with dots: 'pose.pose.position.x'."
+            raise ConditionError(f"{self.field!r} is not a field", where=self.topic, fix=fix)
         if not is_number(self.within_s if self.within_s != math.inf else 0) or self.within_s <= 0:
             fix = "Give a number of seconds above 0, or leave it out."
             raise ConditionError(f"within_s is {self.within_s!r}", where=str(self), fix=fix)

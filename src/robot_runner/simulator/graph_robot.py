@@ -149,11 +149,11 @@ class GraphRobot:
             topic = self._robot.topics.get(name)
             if topic is None:
                 continue
-            others = [each for each in self._link.subscribers(full_name(self._namespace, name)) if not each.is_own]
-            if others and name not in self._pictures:
+            is_seen = any(each.may_be_others for each in self._link.subscribers(full_name(self._namespace, name)))
+            if is_seen and name not in self._pictures:
                 publish = partial(self._publish, name, topic.message_type, Qos.SENSOR_DATA)
                 self._pictures[name] = topic.listen(publish)
-            elif not others and name in self._pictures:
+            elif not is_seen and name in self._pictures:
                 self._pictures.pop(name).close()
 
     def put_back(self) -> None:

@@ -255,7 +255,7 @@ def _announced_clock(name: RobotName) -> Iterator[None]:
     if name.link != "ros1":
         yield
         return
-    from robot_runner.ros.ros1_link import master_of  # noqa: PLC0415  # only where it is asked for
+    from robot_runner.ros.link_opening import master_of  # noqa: PLC0415  # only where it is asked for
 
     master = master_of(name.options)
     before = master.parameter(_USE_SIM_TIME)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Sequence
 from functools import partial
+from typing import ClassVar
 
 from robot_runner.core.errors import GoalRejectedError
 from robot_runner.core.links.goals import ActionResult, GoalStatus
@@ -103,6 +104,7 @@ class SimulatedAction:
 
 
 class _Client:
+    cancels_at_once: ClassVar[bool] = False
     _numbers = itertools.count(1)
 
     def __init__(self, offered: dict[str, SimulatedAction], served: SimulatedAction) -> None:

@@ -20,8 +20,8 @@ from robot_runner.simulator.turtlebot3_parameters import Floats, Integers, Noise
 
 CELLS = 3
 
-# Open-circuit voltage at states of charge from 0 to 1, of a cell with a nominal voltage of 3.7 V.
-_CHARGES = (0.0, 0.05, 0.10, 0.20, 0.35, 0.50, 0.65, 0.80, 0.90, 1.0)
+# Open-circuit voltage at shares of the energy left from 0 to 1, of a cell with a nominal voltage of 3.7 V.
+_SHARES_LEFT = (0.0, 0.05, 0.10, 0.20, 0.35, 0.50, 0.65, 0.80, 0.90, 1.0)
 _CELL_VOLTAGES = (3.00, 3.40, 3.55, 3.65, 3.71, 3.77, 3.86, 3.98, 4.08, 4.20)
 _NOMINAL_CELL_VOLTAGE = 3.7
 _ZERO_CELSIUS = 273.15
@@ -33,8 +33,9 @@ _GAS_CONSTANT = 8.314  # J/(mol K)
 class Battery:
     """A battery of three cells in series, with an internal resistance, followed by a power meter's shunt.
 
-    Its state of charge is energy relative to the published 11.1 V x 1.8 Ah, less the loss by cold. An empty battery
-    stays at its lowest voltage.
+    Its voltage falls with the energy drawn, relative to the published 11.1 V x 1.8 Ah less the loss by cold, and its
+    state of charge with the current: a full battery gives its energy above 11.1 V, by less current than that of 11.1 V.
+    An empty battery stays at its lowest voltage.
 
     Attributes:
         resistance: the internal one, in ohms, at the battery's temperature (Arrhenius' law).
@@ -51,13 +52,17 @@ class Battery:
         scale = parameters.battery_voltage / _NOMINAL_CELL_VOLTAGE
         self._voltages = [scale * voltage for voltage in _CELL_VOLTAGES]
 
-    def charge(self, energy: Floats | float) -> Floats:
-        """Return the state of charge (0..1) after this energy in joules was drawn."""
+    def energy_left(self, energy: Floats | float) -> Floats:
+        """Return the share of its energy (0..1) that is left after this energy in joules was drawn."""
         return np.clip(self._initial - np.asarray(energy) / self._energy, 0.0, 1.0)
 
-    def open_circuit_voltage(self, charge: Floats) -> Floats:
-        """Return the open-circuit voltage in volts at these states of charge (0..1)."""
-        return np.interp(charge, _CHARGES, self._voltages)
+    def charge(self, drawn: Floats | float) -> Floats:
+        """Return the state of charge (0..1) after this charge in coulombs was drawn."""
+        return np.clip(self._initial - np.asarray(drawn) / (3600 * self.capacity), 0.0, 1.0)
+
+    def open_circuit_voltage(self, energy_left: Floats) -> Floats:
+        """Return the open-circuit voltage in volts where these shares of its energy (0..1) are left."""
+        return np.interp(energy_left, _SHARES_LEFT, self._voltages)
 
     def current(self, power: Floats, energy: Floats) -> Floats:
         """Return the current in amperes into a load of this power in watts, after internal resistance and shunt.
@@ -65,14 +70,14 @@ class Battery:
         The power of the load is current * (U - R * current); the smaller of the two solutions is the stable one. If the
         load is larger than the battery's maximum power, the current is that of the maximum: U / 2R.
         """
-        voltage = self.open_circuit_voltage(self.charge(energy))
+        voltage = self.open_circuit_voltage(self.energy_left(energy))
         resistance = self.resistance + self._outer
         root = np.sqrt(np.maximum(voltage**2 - 4 * resistance * power, 0.0))
         return np.minimum(2 * power / (voltage + root), voltage / (2 * resistance))
 
     def terminal_voltage(self, current: Floats, energy: Floats) -> Floats:
         """Return the voltage in volts at the battery's terminals under this current."""
-        return self.open_circuit_voltage(self.charge(energy)) - self.resistance * current
+        return self.open_circuit_voltage(self.energy_left(energy)) - self.resistance * current
 
 
 def _arrhenius(parameters: Turtlebot3Parameters) -> float:
@@ -215,7 +220,7 @@ class PowerSupply:
         self._battery = battery
         self._shunt = shunt
         self._known = 0
-        self._rows = np.empty((_INITIAL_STEPS, 3))
+        self._rows = np.empty((_INITIAL_STEPS, 4))
 
     @property
     def capacity(self) -> float:
@@ -247,7 +252,7 @@ class PowerSupply:
 
     def charge(self, step: int) -> float:
         """Return the battery's state of charge (0..1) at this step."""
-        return float(self._battery.charge(self.energy[step]))
+        return float(self._battery.charge(self._rows[step, 3]))
 
     @undivided
     def extend(self, step: int) -> None:
@@ -258,12 +263,18 @@ class PowerSupply:
         while step >= len(self._rows):
             self._rows = np.concatenate([self._rows, np.empty_like(self._rows)])
         power = self._model.between(first, step)
-        drawn = self._rows[first - 1, 1] if first else 0.0
-        # One sum from the beginning, so that the result does not depend on the pieces of the computation.
-        energy = np.cumsum(np.concatenate([[drawn], power / STEPS_PER_SECOND]))[1:]
         rows = self._rows[first : step + 1]
-        rows[:, 0], rows[:, 1], rows[:, 2] = power, energy, self._battery.current(power, energy)
+        rows[:, 0], rows[:, 1] = power, self._sum(1, power)
+        rows[:, 2] = self._battery.current(power, rows[:, 1])
+        rows[:, 3] = self._sum(3, rows[:, 2])
         self._known = step + 1
+
+    def _sum(self, column: int, rates: Floats) -> Floats:
+        """Return the sum over time of what is drawn at these rates (1/s) from now on, added to that of a column."""
+        before = self._rows[self._known - 1, column] if self._known else 0.0
+        # One sum from the beginning, so that the result does not depend on the pieces of the computation.
+        total: Floats = np.cumsum(np.concatenate([[before], rates / STEPS_PER_SECOND]))[1:]
+        return total
 
 
 _logger = logging.getLogger(__name__)

@@ -17,6 +17,8 @@ from robot_runner.core.links.robot import Advertiser, RobotLink
 _DISCOVERY = 4.0
 #: How often it is looked whether software commands the robot before it is ready, s.
 _LOOK = 0.5
+#: How long a look may take once the software is to be ended, s: a rosapi that hangs takes longer, for each question.
+_LAST_LOOK = 4.0
 
 
 class CommandedRobot:
@@ -81,12 +83,12 @@ class CommandedRobot:
                     self._seen.add(topic)
 
     @contextmanager
-    def looked_at(self) -> Iterator[None]:
-        """Look now and then in a thread, while the software starts: it may command the robot before it is ready."""
+    def looked_at(self, every_s: float = _LOOK) -> Iterator[None]:
+        """Look now and then in a thread: software may command the robot before it is ready, and at any time later."""
         is_over = threading.Event()
 
         def look() -> None:
-            while not is_over.wait(_LOOK):
+            while not is_over.wait(every_s):
                 self.look()
 
         threading.Thread(target=look, name="look at the robot", daemon=True).start()
@@ -99,7 +101,9 @@ class CommandedRobot:
         """Look once more before the software is ended: in a short run its graph may not be known yet."""
         if not self._commanded:
             time.sleep(max(0.0, self._known_at - time.monotonic()))
-        self.look()
+        looking = threading.Thread(target=self.look, name="look at the robot", daemon=True)
+        looking.start()
+        looking.join(_LAST_LOOK)  # the software drives the robot until it is ended
 
     def halt(self) -> None:
         """Command zero on each topic with another publisher; on others the mission itself may command the robot.
@@ -120,5 +124,5 @@ class CommandedRobot:
             if message_type in VELOCITIES
             and topic.startswith(below)
             and topic not in self._taken
-            and any(not each.is_own for each in link.subscribers(topic))
+            and any(each.may_be_others for each in link.subscribers(topic))
         ]

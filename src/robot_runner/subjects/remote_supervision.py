@@ -18,9 +18,10 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-#: Executed by the remote shell, whichever it is. Python reads its program as one line of JSON, and not a byte more.
+#: Python reads its program as one line of JSON, and not a byte more. Isolated, as modules of the user's may lie in the
+#: home folder, where it is executed: json.py, signal.py.
 BOOTSTRAP = (
-    "exec python3 -c 'import json,os;"
+    "exec python3 -I -S -c 'import json,os;"
     'exec(json.loads(b"".join(iter(lambda:os.read(0,1) or exit(1),b"\\n")).decode()))\''
 )
 #: How often a sign of life is sent to the remote supervisor, and how long it goes on without one, s.

@@ -13,9 +13,8 @@ from robot_runner.core.design.factor import Factor
 from robot_runner.core.design.revision import Revision
 from robot_runner.core.errors import ExecutionError, Finding, did_you_mean, nearest
 from robot_runner.core.storage.git_repository import git, repository_state, without_login
-from robot_runner.core.words import one_line
 from robot_runner.subjects.surroundings import cache_findings
-from robot_runner.subjects.work_tree import WorkTree, is_kept, kept_name
+from robot_runner.subjects.work_tree import WorkTree, is_kept, kept_name, refusal
 
 _INSTALL = "Install git (Debian, Ubuntu: sudo apt install git)."
 _URL = re.compile(r"[a-z][a-z0-9+.-]*://|[\w.-]+@[\w.-]+:")
@@ -55,9 +54,9 @@ class Repository:
         except (OSError, subprocess.TimeoutExpired) as error:
             raise ExecutionError(f"git does not answer: {error}", where=without_login(place)) from error
         if answer.returncode != 0:
-            lines = answer.stderr.decode(errors="replace").strip().splitlines()
-            problem = f"git finds no repository: {one_line(without_login(lines[-1])) if lines else 'it says nothing'}"
-            raise ExecutionError(problem, where=without_login(place), fix="Name the folder of a repository, or a URL.")
+            advised = re.search(rb"git config \S+ --add safe\.directory .+", answer.stderr)  # for that of another user
+            fix = f"Execute: {advised[0].decode()}" if advised else "Name the folder of a repository, or a URL."
+            raise ExecutionError(f"git finds no repository: {refusal(answer)}", where=without_login(place), fix=fix)
         if above:
             whole = (Path(self.place) / above.decode(errors="replace")).resolve()
             problem = f"this is a folder within the repository {str(whole)!r}, which can be cloned as a whole only"

@@ -43,7 +43,7 @@ _CHATTER = "The traceback for the exception"
 
 
 def _script(name: str) -> tuple[str, ...]:
-    return ("python3", "-c", Path(__file__).with_name(name).read_text(encoding="utf-8"))
+    return ("python3", "-I", "-S", "-c", Path(__file__).with_name(name).read_text(encoding="utf-8"))
 
 
 #: Executed where the subject is: the first has the workspace which is sourced there described.

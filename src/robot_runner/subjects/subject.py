@@ -363,20 +363,19 @@ class Subject(System):
         self, context: RobotRunnerContext, start: supervised_program.Start, is_ending: threading.Event
     ) -> None:
         """Fail the run as soon as the subject has died, and look meanwhile whether it commands the robot."""
-        robot, next_look = self._robot, time.monotonic() + _ROBOT_LOOK
-        while not is_ending.wait(_LOOK):
-            ended = start.ended()
-            if robot is not None and time.monotonic() >= next_look:
-                robot.look()
-                next_look = time.monotonic() + _ROBOT_LOOK
-            if ended is None or is_ending.is_set():
-                continue
-            if robot is not None:
-                robot.look_at_last()
-                robot.halt()
-            if not self.may_end(ended):
-                context.fail(start.death(self.name, ended))
-            return
+        robot = self._robot or CommandedRobot(context)
+        with robot.looked_at(_ROBOT_LOOK):
+            while not is_ending.wait(_LOOK):
+                if (ended := start.ended()) is None or is_ending.is_set():
+                    continue
+                robot.halt()  # where it is known to command it: a look may take seconds
+                try:
+                    if not self.may_end(ended):
+                        context.fail(start.death(self.name, ended))
+                finally:
+                    robot.look_at_last()
+                    robot.halt()
+                return
 
     def _end(self) -> None:
         program, self._program = self._program, None

@@ -17,7 +17,7 @@ from robot_runner.core.design.revision import Revision
 from robot_runner.core.errors import Finding, LinkError, PluginError, StorageError
 from robot_runner.core.links.connect import graph_of_robot, is_simulated
 from robot_runner.core.links.declared_host import LOCAL
-from robot_runner.core.links.ssh_command import checked_destination, ssh_command, ssh_findings
+from robot_runner.core.links.ssh_command import checked_destination, execute, ssh_command, ssh_findings
 from robot_runner.core.storage.git_repository import repository_state
 from robot_runner.core.storage.input_files import kept_copy
 from robot_runner.core.storage.layout import user_folder
@@ -199,7 +199,17 @@ class Surroundings:
             without = [word for name, value in self.environment.items() if value is None for word in ("-u", name)]
             return self._over_there(self._entered() + shlex.join(["env", *without, *variables, *wrapped]))
         try:
-            return _answer(wrapped, cwd=self.path, env=self.local_environment)
+            done = subprocess.run(  # noqa: S603 - an argument list
+                wrapped,
+                stdin=subprocess.DEVNULL,
+                capture_output=True,
+                timeout=_PATIENCE,
+                check=False,
+                start_new_session=True,
+                cwd=self.path,
+                env=self.local_environment,
+            )
+            return _answer(done)
         except subprocess.TimeoutExpired:
             return Answer(None, "", f"it did not answer within {_PATIENCE:g} s")
         except OSError as error:
@@ -236,25 +246,16 @@ class Surroundings:
         return f"cd {_quoted(self.path)} && " if self.path is not None else ""
 
     def _over_there(self, script: str) -> Answer:
-        command = ssh_command(str(self.host), f"exec sh -c {shlex.quote(script)}", config=self.ssh_config)
         try:
-            return _answer(command)
+            done = execute(ssh_command(str(self.host), script, config=self.ssh_config), timeout=_PATIENCE)
+            return _answer(done)
         except subprocess.TimeoutExpired:
             return Answer(None, "", f"{self.host} did not answer within {_PATIENCE:g} s")
         except OSError as error:
             return Answer(None, "", f"ssh: {error.strerror}")
 
 
-def _answer(command: Sequence[str], **where: Any) -> Answer:
-    done = subprocess.run(  # noqa: S603 - an argument list
-        command,
-        stdin=subprocess.DEVNULL,
-        capture_output=True,
-        timeout=_PATIENCE,
-        check=False,
-        start_new_session=True,
-        **where,
-    )
+def _answer(done: subprocess.CompletedProcess[bytes]) -> Answer:
     return Answer(done.returncode, done.stdout.decode(errors="replace"), done.stderr.decode(errors="replace"))
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 import shutil
 import subprocess
 import time
@@ -134,8 +135,24 @@ class WorkTree:
             finally:
                 shutil.rmtree(own, ignore_errors=True)
         self._git(name, "checkout", "--quiet", "--detach", self.commit)
+        self._check_fetched(name)
         if (self.folder / ".gitmodules").exists():
+            # Places of submodules may be relative to where the repository itself was cloned from.
+            upstream = Path(self.repository).is_dir() and git("remote", "get-url", "origin", folder=self.repository)
+            if upstream and upstream.returncode == 0:
+                self._git(name, "remote", "set-url", "origin", upstream.stdout.decode().strip())
             self._git(name, "submodule", "--quiet", "update", "--init", "--recursive")
+            self._git(name, "remote", "set-url", "origin", self.repository)
+
+    def _check_fetched(self, name: str) -> None:
+        """Check that files in Git LFS are there: without git-lfs, git checks their pointers out and says nothing."""
+        listed = git("ls-files", "-z", "--", _IN_LFS, folder=self.folder, timeout=_PATIENCE).stdout.split(b"\0")
+        for path in filter(Path.is_file, (self.folder / os.fsdecode(each) for each in listed if each)):
+            with path.open("rb") as file:
+                if file.read(len(_POINTER)) == _POINTER:
+                    problem = f"{path.name!r} is in Git LFS, and only its pointer was fetched"
+                    fix = "Install git-lfs, and execute: git lfs install."
+                    raise ExecutionError(problem, where=f"revision {name!r}", fix=fix)
 
     def _clone(self, name: str, source: str) -> None:
         self._git(name, "clone", "--quiet", "--no-checkout", "--", source, str(self.folder), folder=self._entry)
@@ -145,13 +162,11 @@ class WorkTree:
     def _git(self, name: str, *words: str, folder: Path | None = None) -> None:
         try:
             done = git(*words, folder=folder or self.folder, timeout=_CLONING, preexec_fn=stop_with_parent)
-            said = done.stderr.decode(errors="replace").strip()
         except (OSError, subprocess.TimeoutExpired) as error:
             raise ExecutionError(f"git {words[0]} failed: {error}", where=f"revision {name!r}") from error
         if done.returncode != 0:
-            last = one_line(without_login(said.splitlines()[-1])) if said else f"exit code {done.returncode}"
             fix = "Try it by hand: git " + without_login(" ".join(words))
-            raise ExecutionError(f"git {words[0]} failed: {last}", where=f"revision {name!r}", fix=fix)
+            raise ExecutionError(f"git {words[0]} failed: {refusal(done)}", where=f"revision {name!r}", fix=fix)
 
     def _execute_build(self, name: str, workshop: Workshop) -> None:
         task = Task(
@@ -186,6 +201,19 @@ class WorkTree:
         return hashlib.sha256(uncommitted_changes(self.folder)).hexdigest()
 
 
+def refusal(done: subprocess.CompletedProcess[bytes]) -> str:
+    r"""Return the reason why git refused: the first line of what it wrote; further ones are consequences, or advice.
+
+    Example:
+        >>> said = b"warning: no HEAD\nPermission denied (publickey).\nfatal: Could not read from remote repository."
+        >>> refusal(subprocess.CompletedProcess("git", 128, b"", said))
+        'Permission denied (publickey).'
+    """
+    lines = [line.strip() for line in done.stderr.decode(errors="replace").splitlines() if line.strip()]
+    reasons = [line for line in lines if not line.casefold().startswith("warning: ")] or lines
+    return one_line(without_login(reasons[0])) if reasons else f"exit code {done.returncode}"
+
+
 def _await_others(workshop: Workshop) -> None:
     """Wait while another experiment builds it."""
     if workshop.is_interrupted():
@@ -198,6 +226,8 @@ _LARGEST = 64 << 20
 _SHA1 = 40  # digits of its hashes
 _PATIENCE = 600.0  # s, for a few seconds of work on a slow disk
 _SUBMODULE = "commit"  # what `git ls-tree` calls one
+#: Which files are in Git LFS (gitattributes), and how a pointer to one begins (git-lfs, docs/spec.md).
+_IN_LFS, _POINTER = ":(attr:filter=lfs)", b"version https://git-lfs.github.com/spec/"
 #: So that every file is stored whole and none as a delta of another: the search for secrets reads them.
 _WHOLE = ("-c", "repack.writeBitmaps=false", "-c", "repack.updateServerInfo=false", "repack", "-q", "-a", "-d", "-F")
 #: A file that git leaves, which has paths of this machine.
@@ -217,7 +247,8 @@ def _name_of(repository: str) -> str:
 def is_kept(target: Path, clones: Mapping[str, Path]) -> bool:
     """Make a copy of some commits, unless there is one; return whether there is one now.
 
-    There is none where the commits are too large, or have submodules, which are commits of other repositories.
+    There is none where the commits are too large, or have submodules, which are commits of other repositories, or files
+    in Git LFS, whose pointers alone are in the commits.
 
     Args:
         target: the folder of the copy, a bare repository.
@@ -288,9 +319,11 @@ def _steps(clones: Mapping[str, Path]) -> list[tuple[str, ...]]:
 
 
 def _is_small(clones: Mapping[str, Path]) -> bool:
-    """Whether these commits have no submodules, and their files are not too large in all."""
+    """Whether these commits hold all of their files, which are not too large in all."""
     sizes: dict[str, int] = {}
     for commit, clone in clones.items():
+        if git("ls-files", "--", _IN_LFS, folder=clone, timeout=_PATIENCE).stdout:
+            return False
         listed = git("ls-tree", "-r", "-l", "-z", commit, folder=clone, timeout=_PATIENCE)
         for line in filter(None, listed.stdout.split(b"\0")):
             _, kind, digest, size = line.partition(b"\t")[0].decode().split()
