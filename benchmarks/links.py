@@ -154,14 +154,14 @@ def _hear_link(link: Any, latencies: list[int]) -> Callable[[], None]:
 
 def _dds_link() -> Any:
     from robot_runner.core.events.context import SystemClock  # noqa: PLC0415  # as above
-    from robot_runner.ros.dds_link import open_dds_link  # noqa: PLC0415
+    from robot_runner.ros.link_opening import open_dds_link  # noqa: PLC0415
 
     return open_dds_link({"domain": str(_DOMAIN), "distro": "jazzy"}, SystemClock())
 
 
 def _ros1_link() -> Any:
     from robot_runner.core.events.context import SystemClock  # noqa: PLC0415  # as above
-    from robot_runner.ros.ros1_link import open_ros1_link  # noqa: PLC0415
+    from robot_runner.ros.link_opening import open_ros1_link  # noqa: PLC0415
 
     return open_ros1_link({}, SystemClock())
 

@@ -83,7 +83,7 @@ def _speak(is_ready: Event, is_recording: Event) -> None:
 
 def _link() -> Any:
     from robot_runner.core.events.context import SystemClock  # noqa: PLC0415  # a link is opened in the process that uses it
-    from robot_runner.ros.dds_link import open_dds_link  # noqa: PLC0415
+    from robot_runner.ros.link_opening import open_dds_link  # noqa: PLC0415
 
     return open_dds_link({"domain": str(_DOMAIN), "distro": "jazzy"}, SystemClock())
 

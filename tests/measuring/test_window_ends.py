@@ -9,9 +9,8 @@ import pytest
 from robot_runner.core.events.context import PROBE
 from robot_runner.core.events.measure import Measure, Over
 from robot_runner.core.events.window import Window
-from robot_runner.measuring.evaluation import publish_measures
+from robot_runner.measuring.evaluation import WindowEnds, publish_measures
 from robot_runner.measuring.series import Series, growth, mean_of_intervals
-from robot_runner.measuring.window_ends import WindowEnds
 from robot_runner.plugins import Profiler
 from robot_runner.testing import FakeClock, make_context
 

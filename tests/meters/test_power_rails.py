@@ -372,8 +372,9 @@ def test_a_jetson_is_read_over_ssh(tmp_path, tree, server):
     assert "'VDD_IN'" in finding.fix
     context = measured(tmp_path, tree, SystemClock(), rails=["VDD_IN"], seconds=1.0, **settings)
     assert context.measures["MeanPower"] == pytest.approx(7.6)
-    assert any(kind == "clock" for kind, _ in context.broker.records)
     facts = json.loads((context.raw_data_folder / "quality.json").read_text())
+    (noted,) = (fields for kind, fields in context.broker.records if kind == "clock")
+    assert noted == {"owner": "PowerRails", **facts["host_clock"]}
     seconds = facts["window"]["end"] - facts["window"]["start"]  # a busy machine sleeps longer
     assert context.measures["Energy"] == pytest.approx(7.6 * seconds, rel=0.02)
     assert facts["host"] == "robot"

@@ -115,7 +115,8 @@ def test_raw_samples_and_their_quality_are_kept(measure):
     with (context.raw_data_folder / "samples.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
     assert len(rows) == 101
-    assert rows[0] == {"time_s": "50.000000", "cpu_percent": "12.500", "memory_percent": "24.000"}
+    assert rows[0] == {"time_s": "50.000000", "cpu_percent": "", "memory_percent": "24.000"}
+    assert rows[1] == {"time_s": "50.100000", "cpu_percent": "12.500", "memory_percent": "24.000"}
     facts = json.loads((context.raw_data_folder / "quality.json").read_text())
     assert (facts["samples"]["expected"], facts["is_simulated"]) == (100, True)
 

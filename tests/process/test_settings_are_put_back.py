@@ -16,7 +16,7 @@ from tests.ros.dds_domain import LOOPBACK, claim_domain
 from tests.ros.ros1_master import needs_ros1
 
 from robot_runner.core.events.context import SystemClock
-from robot_runner.ros.dds_link import open_dds_link
+from robot_runner.ros.link_opening import open_dds_link
 from robot_runner.ros.ros1_master import Master
 from robot_runner.testing import ParameterNode
 

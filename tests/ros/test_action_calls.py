@@ -40,6 +40,7 @@ class Dialect:
     def client(self, action: str, action_type: str, timeout: float) -> Any:
         self.finding()
         client = SimpleNamespace(sent=[], is_open=True, is_served=lambda: True, cancel=lambda sent, timeout: None)
+        client.cancels_at_once = False
         client.send = lambda goal, sent, timeout: client.sent.append(sent)
         client.close = lambda: setattr(client, "is_open", False)
         self.clients.append(client)

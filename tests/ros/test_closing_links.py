@@ -128,6 +128,8 @@ def test_whatever_fails_at_one_goal_every_other_is_cancelled_and_the_robot_is_st
     asked, left = [], []
 
     class Client:
+        cancels_at_once = False
+
         def __init__(self, action):
             self.action = action
 
@@ -164,6 +166,8 @@ def test_whatever_fails_at_one_goal_every_other_is_cancelled_and_the_robot_is_st
 
 class SlowServer:
     """The server of an action that answers to the request to end a goal once another server was asked, too."""
+
+    cancels_at_once = False
 
     def __init__(self, action, asked, other):
         self.action, self.asked, self.other = action, asked, other

@@ -14,7 +14,7 @@ from tests.waiting import wait_until
 from robot_runner.core.errors import GoalRejectedError, LinkError
 from robot_runner.core.events.context import SystemClock
 from robot_runner.core.links.goals import GoalStatus
-from robot_runner.ros.dds_link import open_dds_link
+from robot_runner.ros.link_opening import open_dds_link
 
 DOMAIN = claim_domain()
 FIBONACCI = "example_interfaces/Fibonacci"

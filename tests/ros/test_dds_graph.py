@@ -16,10 +16,10 @@ from tests.ros.dds_domain import LOOPBACK, claim_domain
 from robot_runner.core.events.context import SystemClock
 from robot_runner.ros import dds_session
 from robot_runner.ros.dds_graph import matched_publications, matched_subscriptions
-from robot_runner.ros.dds_link import open_dds_link
 from robot_runner.ros.dds_reception import READING_QOS, Reception
 from robot_runner.ros.dds_services import OfferedService
 from robot_runner.ros.graph_addresses import DdsSettings
+from robot_runner.ros.link_opening import open_dds_link
 
 
 class Moving:

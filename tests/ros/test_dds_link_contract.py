@@ -6,7 +6,7 @@ import pytest
 from tests.ros.dds_domain import LOOPBACK, claim_domain
 
 from robot_runner.core.events.context import SystemClock
-from robot_runner.ros.dds_link import open_dds_link
+from robot_runner.ros.link_opening import open_dds_link
 from robot_runner.testing.graph_link_contract import GraphLinkContract
 
 _DOMAIN = claim_domain()

@@ -13,8 +13,9 @@ from tests.ros.dds_domain import claim_domain
 
 from robot_runner.core.errors import LinkError
 from robot_runner.core.links.robot_name import RobotName
-from robot_runner.ros.dds_link import findings, open_dds_link
 from robot_runner.ros.graph_addresses import DdsSettings
+from robot_runner.ros.graph_links import DDS
+from robot_runner.ros.link_opening import open_dds_link
 
 
 def test_options_are_read_before_the_environment():
@@ -61,7 +62,7 @@ def test_peers_are_asked_for_the_graph_and_cannot_break_out_of_the_configuration
 TWO_LINKS = """
 import os, time
 from robot_runner.core.events.context import SystemClock
-from robot_runner.ros.dds_link import open_dds_link
+from robot_runner.ros.link_opening import open_dds_link
 links = [open_dds_link({"domain": os.environ["DOMAIN"], "distro": "humble"}, SystemClock(), "") for _ in range(2)]
 received, deadline = [], time.monotonic() + 60
 links[0].subscribe("chatter", "std_msgs/String", received.append)
@@ -117,19 +118,19 @@ def test_a_domain_id_that_cannot_be_is_refused_where_it_was_said(domain):
     ],
 )
 def test_what_stands_in_the_way_is_found_without_opening_anything(name, problem):
-    (finding,) = findings(RobotName.parse(name))
+    (finding,) = DDS.findings(RobotName.parse(name))
     assert finding.is_error
     assert problem in str(finding)
 
 
 def test_nothing_stands_in_the_way_of_what_can_be():
-    assert findings(RobotName.parse("dds:domain=3,distro=humble")) == []
+    assert DDS.findings(RobotName.parse("dds:domain=3,distro=humble")) == []
 
 
 def test_a_missing_package_is_named_with_its_extra(monkeypatch):
     there = importlib.util.find_spec
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None if name == "cyclonedds" else there(name))
-    (finding,) = findings(RobotName.parse("dds"))
+    (finding,) = DDS.findings(RobotName.parse("dds"))
     assert "cyclonedds cannot be imported" in finding.problem
     assert "robot-runner[dds]" in finding.fix
 
@@ -143,8 +144,8 @@ def test_a_network_interface_that_is_not_there_is_an_error_that_names_the_settin
 @pytest.mark.long
 def test_nothing_of_dds_is_loaded_before_a_link_is_opened():
     script = (
-        "import sys; from robot_runner.ros.dds_link import findings; "
-        "from robot_runner.core.links.robot_name import RobotName; findings(RobotName.parse('dds')); "
+        "import sys; from robot_runner.ros.graph_links import DDS; "
+        "from robot_runner.core.links.robot_name import RobotName; DDS.findings(RobotName.parse('dds')); "
         "sys.exit('cyclonedds' in sys.modules)"
     )
     subprocess.run([sys.executable, "-c", script], check=True, timeout=30)

@@ -15,7 +15,7 @@ from tests.waiting import PATIENCE, wait_until
 from robot_runner.core.errors import LinkError
 from robot_runner.core.events.context import SystemClock
 from robot_runner.core.links.robot import Qos
-from robot_runner.ros.dds_link import open_dds_link
+from robot_runner.ros.link_opening import open_dds_link
 
 pytest.importorskip("cyclonedds", reason="it is not published built for every machine")
 

@@ -29,7 +29,7 @@ from robot_runner.core.links.graph_names import GraphNeed
 from robot_runner.core.links.robot import Qos
 from robot_runner.core.links.robot_name import RobotName
 from robot_runner.ros import graph_look
-from robot_runner.ros.dds_link import open_dds_link
+from robot_runner.ros.link_opening import open_dds_link
 
 pytestmark = needs_fastdds
 
@@ -197,7 +197,7 @@ def test_a_large_answer_comes_whole_and_one_that_does_not_come_is_given_up_in_ti
 
 LARGE_REQUEST = f"""
 from robot_runner.core.events.context import SystemClock
-from robot_runner.ros.dds_link import open_dds_link
+from robot_runner.ros.link_opening import open_dds_link
 
 link = open_dds_link({{"domain": "{DOMAIN}"}}, SystemClock())
 request = {{"parameters": [{{"name": "a" * 1_000_000}}]}}

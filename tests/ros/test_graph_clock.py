@@ -14,9 +14,9 @@ from robot_runner.core.events.context import Clock, SystemClock
 from robot_runner.core.links.robot import Encoding, GraphEndpoint, RawMessage
 from robot_runner.core.links.robot_name import RobotName
 from robot_runner.ros import graph_clock
-from robot_runner.ros.dds_link import open_dds_link
 from robot_runner.ros.graph_clock import GraphClock
 from robot_runner.ros.graph_links import clock_fix
+from robot_runner.ros.link_opening import open_dds_link
 from robot_runner.testing import FakeClock, FakeRobotLink
 
 

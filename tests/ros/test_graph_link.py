@@ -327,7 +327,11 @@ def test_closing_asks_for_the_end_of_a_goal_that_has_a_key_and_of_no_other(link,
         sent.key = "a"
 
     transport.actions.client = lambda *_: SimpleNamespace(
-        send=accepted_late, is_served=lambda: True, cancel=lambda sent, _: asked.append(sent.key), close=lambda: None
+        send=accepted_late,
+        is_served=lambda: True,
+        cancels_at_once=False,
+        cancel=lambda sent, _: asked.append(sent.key),
+        close=lambda: None,
     )
     with pytest.raises(LinkError, match="the link was closed"):
         link.send_goal("spin", "example_interfaces/Fibonacci", {"order": 1})

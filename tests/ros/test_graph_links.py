@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
 
 import pytest
 
@@ -27,13 +27,14 @@ class Opening(ModuleType):
         self.opened = []
         self.link = FakeRobotLink(FakeClock())
         for link in GRAPH_LINKS.values():
-            setattr(self, link.opener, self.open)
+            setattr(self, f"open_{link.transport}_link", self.open)
+            setattr(self, f"check_{link.transport}", self.check)
 
     def open(self, options, clock, namespace):
         self.opened.append((options, namespace))
         return self.link
 
-    def findings(self, name):
+    def check(self, name):
         self.opened.append(name)
         return []
 
@@ -99,7 +100,7 @@ def test_a_run_on_the_graph_s_clock_shares_its_link_with_the_robot(opening, tmp_
 
 def test_a_run_on_the_graph_s_clock_commands_the_robot_that_is_named_and_no_other(opening, tmp_path):
     _tell_nine(opening.link)
-    opening.follows_graph_clock = lambda options: True  # as a master of ROS 1 says
+    opening.master_of = lambda options: SimpleNamespace(parameter=lambda name: True)  # as a master of ROS 1 says
     for robot in ("dds:clock=graph,namespace=/alice", "ros1://alice"):
         opening.opened.clear()
         context = make_context(tmp_path, robot=robot, links=FakeLinks())

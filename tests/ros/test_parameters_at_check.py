@@ -10,8 +10,7 @@ from tests.ros.dds_domain import LOOPBACK, claim_domain
 
 from robot_runner.core.config.preparation import prepare
 from robot_runner.core.events.context import SystemClock
-from robot_runner.ros.dds_link import open_dds_link
-from robot_runner.ros.rosbridge_link import open_rosbridge_link
+from robot_runner.ros.link_opening import open_dds_link, open_rosbridge_link
 from robot_runner.testing import LifecycleNode, ParameterNode, RosbridgeServer
 
 HEAD = """\

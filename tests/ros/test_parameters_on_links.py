@@ -14,13 +14,11 @@ from robot_runner.core.errors import LinkError
 from robot_runner.core.events.context import SystemClock
 from robot_runner.core.links.robot import Qos
 from robot_runner.plugins import TransformBuffer
-from robot_runner.ros.dds_link import open_dds_link
 from robot_runner.ros.lifecycle import LifecycleState, bring_to, change_state, state_of
+from robot_runner.ros.link_opening import open_dds_link, open_ros1_link, open_rosbridge_link
 from robot_runner.ros.parameter_access import ParameterAccess, parameters_of
 from robot_runner.ros.parameter_values import ParameterKind
-from robot_runner.ros.ros1_link import open_ros1_link
 from robot_runner.ros.ros1_master import Master
-from robot_runner.ros.rosbridge_link import open_rosbridge_link
 from robot_runner.simulator.simulated_link import SimulatedRobotLink
 from robot_runner.simulator.simulated_turtlebot3 import Simulation
 from robot_runner.testing import LifecycleNode, ParameterNode, RosbridgeServer

@@ -26,10 +26,9 @@ from robot_runner.core.links.robot import Encoding, GraphEndpoint, Qos
 from robot_runner.core.plugin import Circumstances
 from robot_runner.plugins import treatment
 from robot_runner.ros.bag_file import new_bag
-from robot_runner.ros.dds_link import open_dds_link
+from robot_runner.ros.link_opening import open_dds_link, open_ros1_link
 from robot_runner.ros.play_bag import PlayBag
 from robot_runner.ros.recorded_bag import RecordedBag
-from robot_runner.ros.ros1_link import open_ros1_link
 from robot_runner.ros.shapes import completed
 from robot_runner.ros.type_catalogue import TypeCatalogue
 from robot_runner.testing import FakeClock, FakeLinks, FakeRobotLink, SystemContract, make_context, rehearse
@@ -264,7 +263,7 @@ def test_a_type_that_nobody_knows_is_named_and_the_rest_can_be_played(tmp_path, 
             database.execute("UPDATE topics SET type = 'my_msgs/msg/Note' WHERE type = ?", (line,))
             database.execute("DELETE FROM message_definitions")
     ((problem, fix),) = problems(path)
-    assert problem == "nobody knows the type my_msgs/Note of /note: the bag holds no definition"
+    assert problem == "the type my_msgs/Note of /note is not known: the bag holds no definition"
     assert fix.startswith("Leave /note out: topics=['/scan']")
     assert problems(path, topics=["/scan"]) == []
     assert play(path, topics=["/scan"])[1].measures["PlayedMessages"] == 20
@@ -434,7 +433,7 @@ def test_the_player_of_ros_2_gets_its_words_and_its_failure_is_told(tmp_path, mo
     program, said = tmp_path / "ros2", tmp_path / "words.txt"
     script = f"""
 import sys, time
-from robot_runner.ros.dds_link import open_dds_link
+from robot_runner.ros.link_opening import open_dds_link
 from robot_runner.core.events.context import SystemClock
 open({str(said)!r}, "w").write(" ".join(sys.argv[1:]))
 link = open_dds_link({{"domain": "{domain}", "distro": "jazzy"}}, SystemClock())

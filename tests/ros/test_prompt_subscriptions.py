@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from robot_runner.core.events.context import RobotRunnerContext
-    from robot_runner.core.plugin import System
 
 _NAVIGATE = "navigate_to_pose", "nav2_msgs/NavigateToPose"
 
@@ -35,7 +34,7 @@ class Noted(FakeRobotLink):
         return super().subscribe(topic, *args, is_prompt=is_prompt, **more)
 
 
-def begin(system: System) -> Callable[[RobotRunnerContext], object]:
+def begin(system: Any) -> Callable[[RobotRunnerContext], object]:
     def start_run(context: RobotRunnerContext) -> None:
         with suppress(LinkError):  # nothing is published
             system.start_run(context)

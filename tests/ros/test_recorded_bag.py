@@ -147,7 +147,7 @@ def test_a_type_that_is_described_in_several_files_of_idl_is_read(tmp_path):
     assert found(path) == ({"/pair": 1}, {})
     bag = OpenedBag(path)
     with closing(bag):
-        ((connection, _, data),) = bag.messages(bag.connections)
+        ((connection, _, data),) = bag.raw_messages(bag.connections)
         pair = bag.deserialised(connection.msgtype, data)
     assert (pair.left.number, pair.right.number) == (3, 4)
 

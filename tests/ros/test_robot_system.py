@@ -30,4 +30,4 @@ def test_what_is_no_number_is_refused_before_a_robot_moves_by_it(parameter, wron
     with pytest.raises(PluginError) as caught:
         GIVEN[parameter](wrong)
     assert f"{parameter} is {wrong!r}" in caught.value.problem
-    assert "Give a number" in caught.value.fix
+    assert f"Give {parameter} a number" in caught.value.fix

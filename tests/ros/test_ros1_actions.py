@@ -20,7 +20,7 @@ from robot_runner.core.errors import GoalRejectedError, LinkError
 from robot_runner.core.events.context import SystemClock
 from robot_runner.core.links.goals import ActionCanceled, GoalStatus
 from robot_runner.plugins.systems import ActionMission, TopicMission
-from robot_runner.ros.ros1_link import open_ros1_link
+from robot_runner.ros.link_opening import open_ros1_link
 from robot_runner.ros.ros1_master import Master
 from robot_runner.testing import FakeLinks, make_context
 

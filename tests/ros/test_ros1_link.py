@@ -30,7 +30,7 @@ from robot_runner.core.links.connect import open_clock
 from robot_runner.core.links.robot import Qos
 from robot_runner.ros import ros1_node as node
 from robot_runner.ros.graph_clock import GraphClock
-from robot_runner.ros.ros1_link import open_ros1_link
+from robot_runner.ros.link_opening import open_ros1_link
 from robot_runner.ros.ros1_master import Master
 from robot_runner.ros.ros1_publisher import Publisher
 from robot_runner.ros.ros1_transport import _Subscription
@@ -384,7 +384,7 @@ class TestProcess:
         before = signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGTERM)
         handlers, kind = list(logging.getLogger().handlers), logging.getLoggerClass()
         from robot_runner.core.events.context import SystemClock
-        from robot_runner.ros.ros1_link import open_ros1_link
+        from robot_runner.ros.link_opening import open_ros1_link
         link = open_ros1_link({}, SystemClock())
         link.publish("lamp", "std_msgs/String", {"data": "on"})
         link.subscribe("lamp", "std_msgs/String", lambda _: None)

@@ -6,7 +6,7 @@ import pytest
 from tests.ros.ros1_master import quiet_about_rospy
 
 from robot_runner.core.events.context import SystemClock
-from robot_runner.ros.ros1_link import open_ros1_link
+from robot_runner.ros.link_opening import open_ros1_link
 from robot_runner.testing import GraphLinkContract
 
 

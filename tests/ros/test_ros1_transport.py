@@ -268,7 +268,7 @@ def test_a_robot_is_not_taken_for_stopped_where_rospy_was_shut_down(master_uri):
         """
         import rospy
         from robot_runner.core.events.context import SystemClock
-        from robot_runner.ros.ros1_link import open_ros1_link
+        from robot_runner.ros.link_opening import open_ros1_link
         link = open_ros1_link({}, SystemClock())
         link.publish("cmd_vel", "geometry_msgs/Twist", {"linear": {"x": 0.2}})
         rospy.signal_shutdown("a test")  # as `rosnode kill` does, and Ctrl-C where a config has initialised the node
@@ -355,7 +355,7 @@ TALKATIVE = """
 import os, sys, time
 import rospy
 from robot_runner.core.events.context import SystemClock
-from robot_runner.ros.ros1_link import open_ros1_link
+from robot_runner.ros.link_opening import open_ros1_link
 link = open_ros1_link({}, SystemClock())
 link.publish("/lamp", "std_msgs/String", {"data": ""})
 print("ready", flush=True)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from robot_runner.core.events.context import SystemClock
-from robot_runner.ros.ros2_link import open_ros2_link
+from robot_runner.ros.link_opening import open_ros2_link
 from robot_runner.testing.graph_link_contract import GraphLinkContract
 
 if TYPE_CHECKING:

@@ -17,8 +17,7 @@ import pytest
 from robot_runner.core.errors import LinkError
 from robot_runner.core.events.context import SystemClock
 from robot_runner.core.links.robot import Qos
-from robot_runner.ros.dds_link import open_dds_link
-from robot_runner.ros.ros2_link import open_ros2_link
+from robot_runner.ros.link_opening import open_dds_link, open_ros2_link
 from robot_runner.testing.action_contract import faults_told
 
 pytestmark = pytest.mark.ros2

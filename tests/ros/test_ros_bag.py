@@ -25,6 +25,7 @@ from robot_runner.core.errors import PluginError
 from robot_runner.core.events.early_end import RunInterrupted
 from robot_runner.core.events.measure import Origin
 from robot_runner.core.links.robot import Encoding, GraphEndpoint, Qos
+from robot_runner.core.links.ssh_command import for_any_shell
 from robot_runner.measuring.meter_process import MeterProcess
 from robot_runner.ros import bag_recorder
 from robot_runner.ros.bag_file import began_late, messages_in, new_bag
@@ -281,9 +282,10 @@ def test_a_recorder_that_cannot_start_fails_the_run_with_what_it_said(tmp_path, 
 
 @pytest.fixture
 def server(tmp_path):
-    """Start a real SSH server, which ssh knows as `robot`."""
+    """Start a real SSH server, which ssh knows as `robot`, with a login that writes something."""
     (tmp_path / "sshd").mkdir()
-    server = SshServer(tmp_path / "sshd")
+    login = """ForceCommand printf 'Welcome\\nrobot'; exec sh -c "$SSH_ORIGINAL_COMMAND\""""
+    server = SshServer(tmp_path / "sshd", line=login)
     yield server
     server.stop()
 
@@ -297,7 +299,7 @@ def record_there(tmp_path, programs, server):
 
     def begin(encoding=Encoding.CDR, config=server.config):
         recorder = BagProgram(encoding, ["/odom"], folder, host="robot", setup=str(setup), ssh_config=config)
-        return recorder, Path(recorder._process.records[0].text)
+        return recorder, Path(recorder._there)
 
     return begin
 
@@ -331,7 +333,7 @@ def test_a_bag_is_fetched_without_being_held_in_memory(tmp_path):
         bag.truncate(100_000_000)
     tracemalloc.start()
     try:
-        assert bag_recorder._unpacked(["tar", "-C", str(there), "-cf", "-", "."], here) is None
+        assert bag_recorder._unpacked(["sh", "-c", for_any_shell(f"tar -C {there} -cf - .")], here) is None
         assert tracemalloc.get_traced_memory()[1] < 5_000_000
     finally:
         tracemalloc.stop()
@@ -353,7 +355,7 @@ def test_why_a_bag_does_not_arrive_is_told(tmp_path, monkeypatch, sending, unpac
     monkeypatch.setenv("PATH", f"{tmp_path}:{os.environ['PATH']}")
     monkeypatch.setattr(bag_recorder, "_FETCH", 2.0)
     monkeypatch.setattr(bag_recorder, "_ENDING", 1.0)
-    assert told in bag_recorder._unpacked(["sh", "-c", sending], tmp_path)
+    assert told in bag_recorder._unpacked(["sh", "-c", for_any_shell(sending)], tmp_path)
 
 
 def test_a_bag_that_its_recorder_has_not_finished_stays_on_the_robot_and_is_told_of(

@@ -14,6 +14,8 @@ from tests.measuring.busy_core import busy_core
 from robot_runner.core.errors import PluginError
 from robot_runner.core.events.context import SystemClock
 from robot_runner.core.events.measure import Origin
+from robot_runner.measuring.device_clock import ClockOffset, ClockRecord
+from robot_runner.measuring.host import SamplingReport
 from robot_runner.plugins import Circumstances
 from robot_runner.ros.ros_graph import RosGraph
 from robot_runner.testing import FakeLinks, FakeRobotLink, ProfilerContract, make_context, rehearse
@@ -95,6 +97,47 @@ def test_a_node_that_is_not_there_yields_no_value_and_a_warning(measure):
     problems = [finding.problem for finding in context.broker.findings]
     assert "node /camera is not on the graph" in problems
     assert "no process node:/camera was seen; new ones are looked for every 0.05 s" in problems
+
+
+@pytest.mark.parametrize(
+    ("chosen", "is_told"), [(["/talker"], True), (["/alice/talker"], False), ({"/talker": "talker_node"}, False)]
+)
+def test_a_node_that_others_are_called_like_in_their_namespaces_has_doubtful_values(
+    measure, monkeypatch, chosen, is_told
+):
+    monkeypatch.setattr(FakeRobotLink, "nodes", lambda _: ["/alice/talker", "/stalker", "/talker"])
+    context = measure(RosGraph(chosen), lambda: None)
+    problem = "/talker cannot be told from /alice/talker: its CPU and memory are those of all"
+    assert (problem in [finding.problem for finding in context.broker.findings]) is is_told
+
+
+class OtherComputer:
+    """A computer with a clock of its own, on which no process is found."""
+
+    is_simulated = False
+
+    def sample_utilisation(self, rate):
+        return self.sample_processes(rate, ())
+
+    def sample_processes(self, rate, processes, *, is_streamed=False):
+        return self
+
+    def stop(self):
+        return ()
+
+    def report(self):
+        before = ClockOffset(at=1.0, steady=500.0, wall_offset=2.0, round_trip=0.1, uncertainty=0.05, exchanges=8)
+        return SamplingReport(rate=10.0, clock=ClockRecord("pi@robot", before))
+
+    def close(self):
+        pass
+
+
+def test_the_clock_of_another_computer_is_kept_in_the_journal(measure, monkeypatch):
+    monkeypatch.setattr("robot_runner.ros.ros_graph.connect_host", lambda *_, **__: OtherComputer())
+    context = measure(RosGraph(["/camera"], host="pi@robot"), lambda: None)
+    (clock,) = (fields for kind, fields in context.broker.records if kind == "clock")
+    assert (clock["host"], clock["before"]["wall_offset"], clock["after"]) == ("pi@robot", 2.0, None)
 
 
 def test_a_node_without_a_slash_is_that_of_the_run_s_robot_and_no_other(tmp_path):

@@ -20,9 +20,8 @@ from tests.waiting import wait_until
 
 from robot_runner.core.events.context import SystemClock
 from robot_runner.core.links.robot import Qos
-from robot_runner.ros.dds_link import open_dds_link
+from robot_runner.ros.link_opening import open_dds_link, open_ros1_link
 from robot_runner.ros.recorded_bag import RecordedBag
-from robot_runner.ros.ros1_link import open_ros1_link
 from robot_runner.ros.ros_bag import RosBag
 from robot_runner.ros.ros_graph import RosGraph
 from robot_runner.ros.ros_topics import RosTopics

@@ -13,7 +13,7 @@ from robot_runner.core.errors import GoalRejectedError, LinkError
 from robot_runner.core.events.context import SystemClock
 from robot_runner.core.links.goals import ActionCanceled, ActionResult, GoalStatus
 from robot_runner.ros import rosbridge_actions
-from robot_runner.ros.rosbridge_link import open_rosbridge_link
+from robot_runner.ros.link_opening import open_rosbridge_link
 from robot_runner.testing import RosbridgeServer
 
 FIBONACCI = "example_interfaces/Fibonacci"
@@ -167,3 +167,26 @@ def test_who_offers_an_action_again_that_its_server_keeps_is_told_to_start_the_s
     with pytest.raises(LinkError, match="offers the action '/count' already") as caught:
         link.offer_action("count", FIBONACCI, count)
     assert "restart it" in caught.value.fix
+
+
+def test_a_request_to_cancel_does_not_wait_for_rosapi_which_may_hang(robot, link, monkeypatch):
+    is_requested, answers = threading.Event(), threading.Event()
+
+    def execute(execution):
+        wait_until(lambda: execution.is_cancel_requested)
+        is_requested.set()
+        raise ActionCanceled
+
+    robot.offer_action("count", FIBONACCI, execute)
+    goal = link.send_goal("count", FIBONACCI, {"order": 1})
+    graph = link._transport.actions
+    is_served = graph.is_served
+    monkeypatch.setattr(graph, "is_served", lambda action: answers.wait(PATIENCE) and is_served(action))
+    cancelling = threading.Thread(target=goal.cancel)
+    cancelling.start()
+    try:
+        assert is_requested.wait(PATIENCE / 4)
+    finally:
+        answers.set()
+        cancelling.join(PATIENCE)
+    assert goal.status is GoalStatus.CANCELED

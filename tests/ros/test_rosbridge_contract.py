@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, ClassVar
 from tests.ros.test_rosbridge_security import Authority, server_context
 
 from robot_runner.core.events.context import SystemClock
-from robot_runner.ros.rosbridge_link import open_rosbridge_link
+from robot_runner.ros.link_opening import open_rosbridge_link
 from robot_runner.testing.graph_link_contract import GraphLinkContract
 from robot_runner.testing.rosbridge_server import RosbridgeServer
 

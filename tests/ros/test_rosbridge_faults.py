@@ -23,10 +23,12 @@ from robot_runner.core.links.robot import Encoding, Qos
 from robot_runner.core.links.robot_name import RobotName
 from robot_runner.ros import rosbridge_frames, rosbridge_session, rosbridge_transport, rosbridge_types
 from robot_runner.ros.graph_addresses import RosbridgeAddress
-from robot_runner.ros.rosbridge_link import findings, open_rosbridge_link
+from robot_runner.ros.graph_links import ROSBRIDGE
+from robot_runner.ros.link_opening import open_rosbridge_link
 from robot_runner.ros.shapes import completed
 from robot_runner.ros.turtlebot3.motion import Wheels
 from robot_runner.ros.type_catalogue import TypeCatalogue
+from robot_runner.ros.watchdog import velocity_of
 from robot_runner.testing import FakeClock, RosbridgeServer
 
 STRING = "std_msgs/String"
@@ -87,13 +89,13 @@ def test_a_web_server_is_no_rosbridge():
 
 @pytest.mark.parametrize("name", ["rosbridge://", "rosbridge://robot:port", "rosbridge://robot?host=a"])
 def test_a_malformed_address_is_a_finding(name):
-    (finding,) = findings(RobotName.parse(name))
+    (finding,) = ROSBRIDGE.findings(RobotName.parse(name))
     assert finding.is_error
     assert finding.fix
 
 
 def test_a_distribution_of_the_other_generation_is_a_finding():
-    (finding,) = findings(RobotName.parse("rosbridge://robot?ros=1&distro=humble"))
+    (finding,) = ROSBRIDGE.findings(RobotName.parse("rosbridge://robot?ros=1&distro=humble"))
     assert "humble" in finding.problem
 
 
@@ -248,6 +250,42 @@ def test_the_wheels_of_a_robot_are_stopped_by_the_type_that_was_commanded_once_r
             until(lambda: heard == [0.2, 0.0])
             with pytest.raises(LinkError, match="rosapi does not answer"):
                 Wheels(link, topic="base/cmd_vel").command(0.0, 0.0)
+
+
+def test_the_wheels_of_a_robot_that_restarts_are_stopped_by_the_type_that_was_commanded():
+    stamped, topic, heard = "geometry_msgs/TwistStamped", "restarted/cmd_vel", []
+
+    def started(server):
+        robot = linked(server)
+        robot.subscribe(topic, stamped, lambda message: heard.append(message["twist"]["linear"]["x"]))
+        return robot
+
+    with closing(RosbridgeServer(generation=2)) as server, closing(linked(server)) as link:
+        with closing(started(server)):
+            link.publish(topic, stamped, {"twist": {"linear": {"x": 0.2}}})
+            until(lambda: heard == [0.2])
+        until(lambda: not link.subscribers(topic))
+        Wheels(link, topic=topic).command(0.0, 0.0)  # of `make_safe`, while the robot is away
+        with closing(started(server)):
+            until(lambda: link.subscribers(topic))
+            Wheels(link, topic=topic).command(0.0, 0.0)
+            until(lambda: heard == [0.2, 0.0])
+
+
+@pytest.mark.parametrize("twist", ["geometry_msgs/Twist", "geometry_msgs/TwistStamped"])
+def test_rosapi_is_not_asked_before_each_command_to_a_robot_that_is_a_client_of_the_server(server, monkeypatch, twist):
+    topic, heard = "client/cmd_vel", []
+    with closing(linked(server)) as robot, closing(linked(server)) as link:
+        robot.subscribe(topic, twist, lambda message: heard.append(velocity_of(twist, message)["linear"]["x"]))
+        until(lambda: link.subscribers(topic))
+        asked, subscribers = [], link.subscribers
+        monkeypatch.setattr(link, "subscribers", lambda name: asked.append(name) or subscribers(name))
+        wheels = Wheels(link, topic=topic)
+        wheels.get_ready()
+        for _ in range(5):
+            wheels.command(0.2, 0.0)  # each would wait for seconds where rosapi hangs, while the robot drives
+        until(lambda: heard == [0.2] * 5)
+        assert len(asked) == 1
 
 
 @pytest.mark.parametrize("generation", [1, 2])
@@ -504,7 +542,7 @@ def test_a_callback_during_which_the_link_is_closed_is_no_fault(server):
 
 @pytest.mark.parametrize("host", ["192.168.1.20", "robot.lab", "[2001:db8::1]"])
 def test_an_address_in_a_network_is_warned_of(host):
-    (finding,) = findings(RobotName.parse(f"rosbridge://{host}:9090"))
+    (finding,) = ROSBRIDGE.findings(RobotName.parse(f"rosbridge://{host}:9090"))
     assert not finding.is_error
     assert "neither encrypted" in finding.problem
     assert "ssh -L 9090:localhost:9090" in finding.fix
@@ -512,4 +550,4 @@ def test_an_address_in_a_network_is_warned_of(host):
 
 @pytest.mark.parametrize("host", ["localhost", "127.0.0.2", "[::1]"])
 def test_an_address_of_this_machine_is_not(host):
-    assert findings(RobotName.parse(f"rosbridge://{host}:9090")) == []
+    assert ROSBRIDGE.findings(RobotName.parse(f"rosbridge://{host}:9090")) == []

@@ -21,7 +21,7 @@ from robot_runner.core.events.early_end import RunInterrupted
 from robot_runner.core.links.goals import GoalStatus
 from robot_runner.core.links.robot import Qos
 from robot_runner.ros import rosbridge_actions, rosbridge_frames
-from robot_runner.ros.rosbridge_link import open_rosbridge_link
+from robot_runner.ros.link_opening import open_rosbridge_link
 from robot_runner.testing import RosbridgeServer
 
 __all__ = ["lab"]
@@ -120,7 +120,7 @@ def test_a_message_that_comes_while_another_subscription_begins_comes_once(serve
     first.close()
 
 
-def test_last_words_that_cannot_be_said_to_one_robot_are_said_to_the_others(server, opened):
+def test_a_stop_that_fails_for_one_robot_is_still_sent_to_the_others(server, opened):
     link = opened(server)
     for robot in ("alice", "bob"):
         link.publish(f"/{robot}/cmd_vel", TWIST, {"linear": {"x": 0.2}})
@@ -233,7 +233,7 @@ def test_a_stop_command_after_a_message_whose_sending_was_interrupted_is_receive
 _SCRIPT = """
 import atexit, os, sys
 from robot_runner.core.events.context import SystemClock
-from robot_runner.ros.rosbridge_link import open_rosbridge_link
+from robot_runner.ros.link_opening import open_rosbridge_link
 
 link = open_rosbridge_link(sys.argv[1], SystemClock())
 link.publish("cmd_vel", "geometry_msgs/Twist", {"linear": {"x": 0.2}})

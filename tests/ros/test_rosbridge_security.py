@@ -19,7 +19,7 @@ from robot_runner.core.errors import LinkError
 from robot_runner.core.events.context import SystemClock
 from robot_runner.core.links.connect import link_findings
 from robot_runner.ros import rosbridge_session
-from robot_runner.ros.rosbridge_link import open_rosbridge_link
+from robot_runner.ros.link_opening import open_rosbridge_link
 from robot_runner.testing import RosbridgeServer
 
 x509 = pytest.importorskip("cryptography.x509")

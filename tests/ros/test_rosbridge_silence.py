@@ -17,7 +17,7 @@ from robot_runner.core.errors import LinkError
 from robot_runner.core.events.context import SystemClock
 from robot_runner.core.links.goals import ActionCanceled
 from robot_runner.ros import rosbridge_session
-from robot_runner.ros.rosbridge_link import open_rosbridge_link
+from robot_runner.ros.link_opening import open_rosbridge_link
 from robot_runner.ros.rosbridge_session import Session
 from robot_runner.testing import RosbridgeServer
 
@@ -128,7 +128,7 @@ def test_what_a_process_sent_before_it_was_killed_does_not_reach_the_robot_long_
     with closing(RosbridgeServer()) as server, closing(open_rosbridge_link(server.url, SystemClock())) as link:
         # Less than it takes to repeat a lost packet once more after whoever stops the robot instead is done.
         assert rosbridge_session._PING_INTERVAL + rosbridge_session._PING_TIMEOUT < seconds() < 12.0
-        monkeypatch.setattr(link._transport._session, "last_words", lambda: told.append(seconds()) or ())
+        monkeypatch.setattr(link._transport._session, "stop_operations", lambda: told.append(seconds()) or ())
         link._transport._session._give_up()
     assert told == [0.0], "but the stop command of a run that goes on does, however late"
 
@@ -137,7 +137,7 @@ def test_what_a_process_sent_before_it_was_killed_does_not_reach_the_robot_long_
 TALKATIVE = """
 import os, sys
 from robot_runner.core.events.context import SystemClock
-from robot_runner.ros.rosbridge_link import open_rosbridge_link
+from robot_runner.ros.link_opening import open_rosbridge_link
 link = open_rosbridge_link(sys.argv[1], SystemClock())
 link.publish("/lamp", "std_msgs/String", {"data": ""})
 print("ready", flush=True)

@@ -59,7 +59,7 @@ def fit_clock(
     A message is received some time after it was stamped, never before. So the best line runs below all points
     (stamp, arrival) and as close to them as it can: an edge of their lower convex hull. Source: Moon, Skelly,
     Towsley, Estimation and removal of clock skew from network delay measurements (INFOCOM 1999). Where the messages
-    span too little time to tell skew from jitter, the rate is taken as 1 and the least delay gives the offset.
+    span too little time to separate skew from jitter, the rate is taken as 1 and the least delay gives the offset.
 
     Args:
         device_times: when each message was stamped, by the device's clock.

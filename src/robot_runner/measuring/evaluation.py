@@ -3,13 +3,20 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from bisect import bisect_left, bisect_right
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from functools import cache
+from typing import NamedTuple
 
 from robot_runner.core.events.context import PROBE, Clock, RobotRunnerContext
 from robot_runner.core.events.measure import Measure, MeasureValue, Origin, Over
 from robot_runner.core.events.window import Window
-from robot_runner.measuring.window_ends import Evaluate, WindowEnds
 
+#: Returns the value of each measure over a window; one that it leaves out is missing.
+Evaluate = Callable[[Window], Mapping[str, MeasureValue]]
+
+#: The doubt about a run in which a profiler's measurement did not begin.
+NEVER_STARTED = "nothing was measured: the measurement was never started"
 #: The values of a profiler that measured longer than the mission, by more than this share of it, are doubtful.
 _TOLERANCE = 0.01
 _MORE = "Have the meter sample more often, or what is measured last longer."
@@ -114,3 +121,108 @@ def _joined(values: Sequence[MeasureValue], windows: Sequence[Window], over: Ove
         return sum(numbers) if all(isinstance(number, int) for number in numbers) else math.fsum(numbers)
     seconds = [window.duration for window in windows]
     return math.fsum(map(float.__mul__, map(float, numbers), seconds)) / math.fsum(seconds)
+
+
+#: Values are doubted where they may be off by more than this share of them; percentages also by more than a point.
+_OFF_SHARE, _OFF_POINTS = 0.05, 1.0
+#: Of a phase with fewer samples, values are those of what is beside it.
+_FEWEST = 2
+#: Over more samples than that, 5 % are off only where rates at an end differ by 60 times the mean: to look for that
+#: would take a tenth of a simulated run.
+_MANY = 1000
+#: How much of the time between two samples is counted on the wrong side of an end: a sixth on average; at most a fourth
+#: for means since the sample before, and half for values of a moment, or all where each counts for the time before it.
+_WRONG = 0.4
+#: A meter is read just before the mission and just after it: that sample is no further away than this share of the
+#: time between two samples.
+_READ = 0.1
+
+
+class _End(NamedTuple):
+    """An end of a window between two samples.
+
+    Attributes:
+        inside: two samples' time within the window, without what is so near that it may be of both sides.
+        outside: as much on the other side, as far as there are samples.
+        apart: the time between the two samples, s.
+        away: the time to the sample outside, s.
+    """
+
+    inside: Window
+    outside: Window
+    apart: float
+    away: float
+
+
+class WindowEnds:
+    """What is not known of values, as a sample across an end of a window is about both sides of it.
+
+    Values are wrong where much changes at an end, as it does where a robot begins to move.
+
+    Args:
+        times: of the samples, s, never falling.
+        evaluate: returns the values over a window.
+        measures: those that have values for parts of a mission.
+    """
+
+    def __init__(self, times: Sequence[float], evaluate: Evaluate, measures: Sequence[Measure]) -> None:
+        self._times = times
+        self._evaluate = cache(evaluate)
+        self._measures = measures
+
+    def doubts_about_mission(self, window: Window) -> Iterator[tuple[str, list[str]]]:
+        """Yield why values are doubtful, and of which measures; nothing where a meter was read at both ends."""
+        if any(end.away > _READ * end.apart for end in self._ends(window)):
+            yield from self._doubts("the mission", [window])
+
+    def doubts_about_phase(self, name: str, windows: Sequence[Window]) -> Iterator[tuple[str, list[str]]]:
+        """Yield why values of a phase are doubtful, and the names of their measures."""
+        counts = [bisect_right(self._times, each.end) - bisect_left(self._times, each.start) for each in windows]
+        seconds = math.fsum(window.duration for window in windows)
+        brief = math.fsum(each.duration for each, count in zip(windows, counts, strict=True) if count < _FEWEST)
+        if brief > _OFF_SHARE * seconds:
+            problem = f"phase {name!r} took {seconds:.3g} s, with {sum(counts)} samples in it"
+            yield f"{problem}: its values are also those of what is beside it", [each.name for each in self._measures]
+        else:
+            yield from self._doubts(f"phase {name!r}", windows)
+
+    def _doubts(self, what: str, windows: Sequence[Window]) -> Iterator[tuple[str, list[str]]]:
+        seconds = math.fsum(window.duration for window in windows)
+        ends = [end for window in windows for end in self._ends(window)]
+        shares: dict[str, float] = {}
+        for measure in self._measures:
+            size = math.fsum(abs(self._rate(measure, each) or 0.0) * each.duration for each in windows)
+            off = math.fsum(self._off(measure, end) for end in ends)
+            is_little = measure.unit == "%" and off <= _OFF_POINTS * seconds
+            if off > _OFF_SHARE * size and not is_little:
+                shares[measure.name] = min(1.0, off / size) if size else 1.0
+        if shares:
+            apart, most = max(end.apart for end in ends), 100 * max(shares.values())
+            between = f"{what} begins and ends between samples that are {apart:.3g} s apart, and much changes there"
+            yield f"{between}: values may be off by {most:.0f} %", list(shares)
+
+    def _ends(self, window: Window) -> Iterator[_End]:
+        length, times = window.duration, self._times
+        for at, inwards in ((window.start, 1), (window.end, -1)):
+            after = bisect_left(times, at)
+            if not 0 < after < len(times):
+                continue
+            apart = times[after] - times[after - 1]
+            near, far = 0.5 * apart, 2.5 * apart
+            inside = sorted((at + inwards * min(near, length / 2), at + inwards * min(far, length)))
+            outside = sorted((at - inwards * near, at - inwards * far))
+            outside = [max(outside[0], times[0]), min(outside[1], times[-1])]
+            if length <= _MANY * apart and outside[0] < outside[1]:
+                away = at - times[after - 1] if inwards > 0 else times[after] - at
+                yield _End(Window(*inside), Window(*outside), apart, away)
+
+    def _off(self, measure: Measure, end: _End) -> float:
+        within, beyond = self._rate(measure, end.inside), self._rate(measure, end.outside)
+        return 0.0 if within is None or beyond is None else abs(within - beyond) * _WRONG * end.apart
+
+    def _rate(self, measure: Measure, window: Window) -> float | None:
+        """Return the value of a window for each second of it; None for extremes, texts and missing values."""
+        value = self._evaluate(window).get(measure.name)
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            return None
+        return {Over.SUM: value / window.duration, Over.MEAN: float(value)}.get(measure.over or Over.MINIMUM)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol, TypeVar, runtime_checkable
 
@@ -92,6 +92,11 @@ class SamplingReport:
     form: str = ""
     rescan: float = RESCAN
 
+    @property
+    def clock_facts(self) -> Mapping[str, object] | None:
+        """The offsets of the computer's clock, for the journal and `quality.json`; None where it is the run's."""
+        return None if self.clock is None else self.clock.facts()
+
 
 @runtime_checkable
 class UtilisationSampler(Protocol):
@@ -140,7 +145,7 @@ class TellingSampler(Protocol[S_co]):
     def tell(self, on_sample: Callable[[Callable[[], S_co]], None]) -> None:
         """Call `on_sample` at each further sample, in the thread that samples, with a function that returns the sample.
 
-        So a sample that nobody looks at is not computed.
+        So a sample that is not looked at is not computed.
         """
 
 

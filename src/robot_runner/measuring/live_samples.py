@@ -10,7 +10,7 @@ from pathlib import Path
 from robot_runner.core.storage.guarded_files import open_to_append, remove
 from robot_runner.measuring.quality import Column
 
-#: The end of the file's name; the name begins with a dot, so that nobody takes the file for samples to be analysed.
+#: The end of the file's name; the name begins with a dot, so that the file is not mistaken for samples to be analysed.
 LIVE = ".live"
 #: At least this long between two samples that are written, s: enough for a curve on a screen, and little load.
 _EVERY = 0.5
@@ -56,7 +56,7 @@ class LiveSamples:
         self._due = now + _EVERY
         try:
             self._write(columns())
-        except Exception:  # noqa: BLE001 - whatever fails here, the mission goes on
+        except Exception:  # noqa: BLE001 - whatever fails here, the mission continues
             _log.debug("Nothing more is shown of %s.", self._path, exc_info=True)
             self._due = float("inf")
 

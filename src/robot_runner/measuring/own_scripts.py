@@ -83,7 +83,7 @@ def _scripts_run(words: Sequence[str]) -> Iterator[str]:
 
 
 def _is_own(word: str) -> bool:
-    """Return whether a word is a path of the user's: no option, no assignment, and no installed program."""
+    """Return whether an argument is a path of the user's: no option, no assignment, and no installed program."""
     return "/" in word and "=" not in word and not word.startswith("-") and not is_installed(Path(word))
 
 

@@ -244,7 +244,7 @@ class PeriodicSampler(Generic[R]):
         cpu_begun, begun = time.thread_time(), self._clock.now()
         try:
             reading = _checked(self._read())
-        except Exception as error:  # noqa: BLE001 - whatever a meter raises, the mission goes on and the quality tells
+        except Exception as error:  # noqa: BLE001 - whatever a meter raises, the mission continues, and the quality reports it
             self._note_failure(f"{type(error).__name__}: {error}", begun)
         else:
             with undivided:  # both or neither, where the mission ends now

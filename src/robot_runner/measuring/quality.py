@@ -218,22 +218,15 @@ class SampleQuality:
             )
 
 
-def quality_of(  # noqa: PLR0913 - each is one thing that a sensor may know of its samples
-    times: Sequence[float],
-    window: Window,
-    rate: float,
-    *,
-    duplicates: int = 0,
-    lost: int = 0,
-    corrupt: int = 0,
-    failed: int = 0,
-    first_failure: str = "",
-    saturated: int = 0,
-    clock_offset: float | None = None,
-    clock_uncertainty: float | None = None,
-    cpu_seconds: float | None = None,
-) -> SampleQuality:
+def quality_of(times: Sequence[float], window: Window, rate: float, **known: Any) -> SampleQuality:
     """Return the quality of samples taken at `times` (s, never falling) at a nominal `rate` (Hz).
+
+    Args:
+        times: when they were taken.
+        window: the one that the quality is about.
+        rate: how many a second there should be.
+        known: what else is known of them: `SampleQuality`'s duplicates, lost, corrupt, failed, first_failure,
+            saturated, clock_offset, clock_uncertainty and cpu_seconds.
 
     Example:
         >>> from robot_runner.core.events.window import Window
@@ -253,17 +246,9 @@ def quality_of(  # noqa: PLR0913 - each is one thing that a sensor may know of i
         overdue=_overdue(times, window, period),
         unreached=max(0.0, times[0] - window.start) + max(0.0, window.end - times[-1]) if len(times) else 0.0,
         jitter=jitter_of(times[bisect_right(times, window.start) : bisect_left(times, window.end)]),
-        duplicates=duplicates,
-        lost=lost,
-        corrupt=corrupt,
-        failed=failed,
-        first_failure=first_failure,
-        saturated=saturated,
         is_bracketed=_is_bracketed(times, window, period),
-        clock_offset=clock_offset,
-        clock_uncertainty=clock_uncertainty,
-        cpu_seconds=cpu_seconds,
         duration=window.duration,
+        **known,
     )
 
 

@@ -57,6 +57,7 @@ class SshHost:
         command: Sequence[str] | None = None,
     ) -> None:
         self._host = host
+        self._config = config
         self._clock = clock
         self._form = form
         self._command = command or ssh_command(host, REMOTE_COMMAND, config=config)
@@ -170,5 +171,5 @@ class SshHost:
             clock=self._clock,
             form=self._form,
             gist=gist,
-            explain=partial(remedy, self._host),
+            explain=partial(remedy, self._host, config=self._config),
         )

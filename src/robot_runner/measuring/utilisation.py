@@ -64,7 +64,7 @@ class Selection:
 
     @property
     def labels(self) -> tuple[str, ...]:
-        """A word for each selector, used in the names of measures."""
+        """A label for each selector, used in the names of measures."""
         return tuple(re.sub(r"\W+", "_", one.partition(":")[2]).strip("_") or "process" for one in self.processes)
 
     def measures(self) -> tuple[Measure, ...]:
@@ -301,13 +301,12 @@ class Utilisation:
         return Column(name, [pick(sample) for sample in self.samples], "%.3f")
 
     def _details(self) -> Mapping[str, Any]:
-        clock = self.report.clock
         return {
             "is_simulated": self.is_simulated,
             "rate_hz": self.report.rate,
             "form": self.report.form,
             "problems": list(self.report.problems),
-            "clock": None if clock is None else clock.facts(),
+            "clock": self.report.clock_facts,
         }
 
 

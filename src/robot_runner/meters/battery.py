@@ -16,10 +16,10 @@ from robot_runner.core.events.window import MissionTimes, Window
 from robot_runner.core.links.connect import connect_robot, is_simulation, robot_namespace
 from robot_runner.core.links.robot import Encoding, Message, Subscription
 from robot_runner.core.plugin import Circumstances, Profiler
-from robot_runner.measuring.evaluation import publish_measures
+from robot_runner.measuring.evaluation import NEVER_STARTED, publish_measures
+from robot_runner.measuring.parameter_checks import check_numbers, no_robot
 from robot_runner.measuring.quality import Column, quality_of, report_quality, sufficient, write_samples
 from robot_runner.measuring.series import Series, cut, growth, integrate, mean
-from robot_runner.meters.parameter_checks import check_positive
 
 _TYPE = "sensor_msgs/BatteryState"
 #: A state of charge above this is in percent: boards that compute it from the voltage exceed 1 only slightly.
@@ -33,7 +33,7 @@ _AS_THE_VOLTAGE, _FEWEST = 0.2, 5
 #: MAVROS passes on what MAVLink has for unknown: UINT16_MAX mV, and -1 in steps of 10 mA, with its sign changed, and in
 #: those of 1 % (mavros, sys_status.cpp).
 _UNKNOWN_VOLTS, _UNKNOWN_AMPERES = 65.535, 0.01
-#: How often a TurtleBot3 tells of its battery, Hz: its firmware in ROS 1 (turtlebot3_core), a node in ROS 2
+#: How often a TurtleBot3 publishes its battery's state, Hz: its firmware in ROS 1 (turtlebot3_core), a node in ROS 2
 #: (turtlebot3_node, turtlebot3.cpp).
 _TURTLEBOT3_HZ = {Encoding.ROS1: 30.0, Encoding.CDR: 20.0}
 _FIX = "Look at the topic, with `ros2 topic hz` or `rostopic hz`, before you use this run."
@@ -132,7 +132,7 @@ class Battery(Profiler):
     ) -> None:
         super().__init__(name=name)
         if rate_hz is not None:
-            check_positive(self.name, rate_hz=rate_hz)
+            check_numbers(self.name, rate_hz=rate_hz)
         self.topic = topic
         self.rate_hz = rate_hz
         self.namespace = namespace
@@ -149,11 +149,7 @@ class Battery(Profiler):
 
     def check(self, circumstances: Circumstances) -> Iterable[Finding]:
         """Return an error if the experiment has no robot."""
-        if circumstances.robot is None:
-            fix = "Name one in the config: robot = 'simulated'. Or: --set robot=simulated."
-            problem = "the battery is that of a robot, and the experiment names none"
-            return [Finding.error(f"plugin {self.name}", problem, fix)]
-        return []
+        return [no_robot(self.name, "measures the battery of a robot")] if circumstances.robot is None else []
 
     def start_run(self, context: RobotRunnerContext) -> None:
         """Discard the messages of the run before."""
@@ -165,7 +161,11 @@ class Battery(Profiler):
         link, clock = connect_robot(context, namespace=self.namespace), context.clock
         self._expected_hz = self.rate_hz or _TURTLEBOT3_HZ[link.encoding]
         self._heard = heard = _Heard()
-        self._subscription = link.subscribe(self.topic, _TYPE, lambda message: heard.take(clock.now(), message))
+
+        def take(message: Message) -> None:
+            heard.take(clock.now(), message)
+
+        self._subscription = link.subscribe(self.topic, _TYPE, take, is_prompt=True)
         self._begun_at = clock.now()
 
     def stop_measurement(self, context: RobotRunnerContext) -> None:
@@ -193,7 +193,7 @@ class Battery(Profiler):
         """Publish the measures; no value where too few messages came, or the battery does not measure it."""
         heard, window = self._heard, context.window
         if heard is None or window is None:
-            context.doubt("nothing was measured: the measurement was never started", fix=_FIX)
+            context.doubt(NEVER_STARTED, fix=_FIX)
             publish_measures(context, self.measures, lambda _: {})
             return
         mission = heard.over(window)
@@ -277,7 +277,7 @@ class Battery(Profiler):
 
 
 def _full_voltage(heard: _Heard) -> float | None:
-    """Return the voltage, V, by which all messages divide theirs to tell the charge; None where they do not.
+    """Return the voltage, V, by which all messages divide theirs for the charge; None where they do not.
 
     A battery's charge falls by several times as much as its voltage does, and not at all where that sags under load.
     """
@@ -291,7 +291,7 @@ def _full_voltage(heard: _Heard) -> float | None:
 
 
 def _coarse(used: float | None, step: float) -> str:
-    """Return the doubt about a charge that was used, % of the full one, if it was told in steps; empty for none."""
+    """Return the doubt about a charge that was used, % of the full one, if it was reported in steps; empty for none."""
     if used == 0:
         return "the charge stayed as it was: ChargeUsed lacks what is less than a step of it"
     if used is None or step <= _COARSE * abs(used):

@@ -17,8 +17,8 @@ from robot_runner.core.events.window import Window
 from robot_runner.core.plugin import Circumstances, Profiler
 from robot_runner.measuring.evaluation import note_own_window, publish_measures
 from robot_runner.measuring.measured_machine import THIS_MACHINE, clock_details, machine_clock, simulation_findings
+from robot_runner.measuring.parameter_checks import check_numbers
 from robot_runner.measuring.quality import write_quality
-from robot_runner.meters.parameter_checks import check_positive
 
 _INSTALL = "Install it: pip install 'robot-runner[codecarbon]'."
 _JOULES = 3.6e6  # in a kilowatt hour
@@ -73,7 +73,7 @@ class CodeCarbon(Profiler):
         if not (isinstance(country, str) and re.fullmatch(r"[A-Z]{3}", country)):
             fix = "Give three capital letters, such as 'NLD' (ISO 3166-1 alpha-3)."
             raise PluginError(f"country is {country!r}", where=self.name, fix=fix)
-        check_positive(self.name, interval_s=interval_s)
+        check_numbers(self.name, interval_s=interval_s)
         self.country = country
         self.interval_s = interval_s
         self.options = dict(options or {})
@@ -182,7 +182,7 @@ def started_tracker(kind: str, *arguments: Any, **settings: Any) -> Any:
 def stop_tracker(tracker: Any) -> float | None:
     """Stop a tracker; returns the emissions, kg of CO2 equivalent.
 
-    If its `stop` fails, the tracker goes on to start a thread for each reading while the process lives, so its
+    If its `stop` fails, the tracker starts a thread for each reading for as long as the process lives, so its
     schedulers are ended here in any case.
     """
     try:

@@ -17,10 +17,11 @@ from robot_runner.core.events.window import Window
 from robot_runner.core.links.connect import graph_variables
 from robot_runner.core.plugin import Circumstances, Profiler, probe_window
 from robot_runner.core.storage.input_files import InputFile, kept_copy
-from robot_runner.measuring.evaluation import publish_measures
+from robot_runner.measuring.evaluation import NEVER_STARTED, publish_measures
 from robot_runner.measuring.measured_machine import clock_details, machine_clock
 from robot_runner.measuring.meter_process import Ending, MeterProcess, Record
 from robot_runner.measuring.own_scripts import script_inputs, scripts_in, unread_findings
+from robot_runner.measuring.parameter_checks import check_list, check_numbers
 from robot_runner.measuring.quality import Column, SampleQuality, quality_of, report_quality, write_samples
 from robot_runner.meters.command_output import (
     Aggregate,
@@ -34,7 +35,6 @@ from robot_runner.meters.command_output import (
     repeated_rows,
     row_times,
 )
-from robot_runner.meters.parameter_checks import check_list, check_positive
 
 #: How long to wait after the measured window for the row that covers its end: in periods, and in s.
 _AFTERMATH_PERIODS = 1.2
@@ -139,7 +139,7 @@ class CommandProfiler(Profiler):
             fix = f"Give a list: command={command.split()!r}."
             raise PluginError(f"command is {command!r}", where=self.name, fix=fix)
         check_list(self.name, command=command, columns=columns)
-        check_positive(self.name, period_s=period_s, grace_s=grace_s, startup_s=startup_s)
+        check_numbers(self.name, period_s=period_s, grace_s=grace_s, startup_s=startup_s)
         self.command = [str(word) for word in command]
         self.columns = tuple(columns)
         self.measures: Sequence[Measure] = tuple(column.yields for column in self.columns)
@@ -198,7 +198,7 @@ class CommandProfiler(Profiler):
         self._begun_at = begun_at
 
     def stop_measurement(self, context: RobotRunnerContext) -> None:
-        """Note the time. The program goes on until `stop_run`, so that no other profiler waits for it."""
+        """Note the time. The program runs until `stop_run`, so that no other profiler waits for it."""
         del context
         if self._begun_at is not None and self._sampled is None:
             self._sampled = Window(self._begun_at, self._clock.now())
@@ -232,8 +232,7 @@ class CommandProfiler(Profiler):
         """Publish one value for each column; no value where the rows do not suffice."""
         measured = self._measured
         if measured is None:
-            nothing = "nothing was measured: the measurement was never started"
-            context.doubt(self._fault or nothing, fix=self._look)
+            context.doubt(self._fault or NEVER_STARTED, fix=self._look)
             publish_measures(context, self.measures, lambda _: {}, origin=self.origin)
             return
         for problem in self.doubts(measured):

@@ -16,9 +16,9 @@ from robot_runner.core.events.context import RobotRunnerContext
 from robot_runner.core.events.measure import Measure, Origin
 from robot_runner.core.plugin import Circumstances
 from robot_runner.measuring.measured_machine import THIS_MACHINE, simulation_findings
+from robot_runner.measuring.parameter_checks import check_list, check_numbers
 from robot_runner.meters.command import CommandProfiler, Measured
 from robot_runner.meters.command_output import Aggregate, CommandColumn, Row, TimeColumn, TimeKind, parse_csv
-from robot_runner.meters.parameter_checks import check_list, check_positive
 from robot_runner.meters.rapl import POWERCAP, find_domains, permission_findings
 
 #: The measures that are doubted if the energy is of something else; CPU and memory are right then, too.
@@ -132,7 +132,7 @@ class EnergiBridge(CommandProfiler):
         devices: Path = Path("/dev/cpu"),
         cores: Path = Path("/sys/devices/system/cpu"),
     ) -> None:
-        check_positive(name or "EnergiBridge", interval_ms=interval_ms)
+        check_numbers(name or "EnergiBridge", interval_ms=interval_ms)
         sources = ("energy_J", "energy_J", "cpu_percent", "memory_percent")
         aggregates = (Aggregate.INCREASE, Aggregate.RATE, Aggregate.MEAN, Aggregate.MEAN)
         columns = zip(sources, type(self).measures, aggregates, strict=True)
@@ -370,7 +370,7 @@ class Powermetrics(CommandProfiler):
         interval_ms: int = 1000,
         command: Sequence[str] = ("sudo", "-n", "powermetrics"),
     ) -> None:
-        check_positive(name or "Powermetrics", interval_ms=interval_ms)
+        check_numbers(name or "Powermetrics", interval_ms=interval_ms)
         check_list(name or "Powermetrics", command=command)
         energy, power = type(self).measures
         options = f"--samplers cpu_power --format plist --sample-rate {interval_ms} --buffer-size 0".split()

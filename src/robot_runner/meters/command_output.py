@@ -281,7 +281,7 @@ def row_times(
 
 
 def _refined(stamp: float, arrival: float, unit: float) -> float:
-    """Return when a row was taken: a stamp in whole units, such as seconds, tells less than the row's arrival.
+    """Return when a row was taken: a stamp in whole units, such as seconds, is less precise than the row's arrival.
 
     A row that arrived too late, or with the stamp of another clock, was taken in the middle of the unit.
     """

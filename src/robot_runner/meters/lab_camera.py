@@ -17,8 +17,8 @@ from robot_runner.core.events.context import Clock, RobotRunnerContext
 from robot_runner.core.plugin import Circumstances, Profiler
 from robot_runner.measuring.measured_machine import clock_details, machine_clock
 from robot_runner.measuring.meter_process import MeterProcess
+from robot_runner.measuring.parameter_checks import check_numbers
 from robot_runner.measuring.series import within
-from robot_runner.meters.parameter_checks import check_positive
 from robot_runner.meters.video_recording import Recording, frame_times, missing_programs, take_still, without_secrets
 
 _VIDEO, _FRAMES, _STILLS, _ERRORS = "video.mkv", "frames.csv", "stills.json", "stderr.txt"
@@ -29,7 +29,7 @@ _CLOCK_STEP = 0.05
 _GAP = 1.0
 #: How long ffmpeg may take to complete the file, s.
 _GRACE = 10.0
-#: The largest number of phases with a still: nobody would look at more.
+#: The largest number of phases with a still: a researcher would not look at more.
 _MOST_STILLS = 8
 
 
@@ -77,7 +77,7 @@ class LabCamera(Profiler):
             raise PluginError(f"device is {device!r}", where=self.name, fix=f"Name one: device='/dev/video{number}'.")
         if size is not None and not (isinstance(size, str) and re.fullmatch(r"\d+x\d+", size)):
             raise PluginError(f"size is {size!r}", where=self.name, fix="Give width x height: size='1280x720'.")
-        check_positive(self.name, startup_s=startup_s, **({} if rate_hz is None else {"rate_hz": rate_hz}))
+        check_numbers(self.name, startup_s=startup_s, rate_hz=1.0 if rate_hz is None else rate_hz)
         self.device = device
         self.startup_s = startup_s
         self.recording = Recording(device, encoder, size, rate_hz)

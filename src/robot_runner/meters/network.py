@@ -15,11 +15,11 @@ from robot_runner.core.events.context import RobotRunnerContext
 from robot_runner.core.events.measure import Measure, Over
 from robot_runner.measuring.measured_machine import machine_clock, simulation_findings
 from robot_runner.measuring.meter_process import Ending, MeterProcess
+from robot_runner.measuring.parameter_checks import check_list
 from robot_runner.measuring.quality import Column
 from robot_runner.measuring.series import Series, growth
 from robot_runner.meters.counters import Counters, FileCounters, fall_count, unwrapped
 from robot_runner.meters.machine.machine_state import text_in
-from robot_runner.meters.parameter_checks import check_list
 from robot_runner.meters.polled import PolledProfiler
 
 if TYPE_CHECKING:

@@ -12,6 +12,7 @@ from robot_runner.core.errors import Finding, PluginError
 from robot_runner.core.events.context import RobotRunnerContext
 from robot_runner.core.events.measure import Measure, Over
 from robot_runner.measuring.measured_machine import simulation_findings
+from robot_runner.measuring.parameter_checks import check_list
 from robot_runner.measuring.quality import Column, sufficient
 from robot_runner.measuring.series import Series, cut, energy, growth, mean
 from robot_runner.meters.counters import fall_count
@@ -23,7 +24,6 @@ from robot_runner.meters.electrical_readings import (
     step_error,
     stepped,
 )
-from robot_runner.meters.parameter_checks import check_list
 from robot_runner.meters.polled import PolledProfiler, known_series, trial_findings
 
 if TYPE_CHECKING:

@@ -16,10 +16,10 @@ from robot_runner.core.errors import Finding
 from robot_runner.core.events.measure import Measure
 from robot_runner.core.plugin import Circumstances
 from robot_runner.measuring.measured_machine import THIS_MACHINE, simulation_findings
+from robot_runner.measuring.parameter_checks import check_list, check_numbers
 from robot_runner.meters.command import CommandProfiler, Measured
 from robot_runner.meters.command_output import Aggregate, CommandColumn, Row, TimeColumn, TimeKind
 from robot_runner.meters.machine.machine_state import text_in
-from robot_runner.meters.parameter_checks import check_list, check_positive
 from robot_runner.meters.rapl import is_amd
 
 _INSTALL = "Install it: sudo apt install linux-perf (Debian), linux-tools-generic (Ubuntu)."
@@ -172,7 +172,7 @@ class PerfStat(CommandProfiler):
         sysfs: Path = Path("/sys"),
         cpuinfo: Path = Path("/proc/cpuinfo"),
     ) -> None:
-        check_positive(name or "PerfStat", interval_ms=interval_ms)
+        check_numbers(name or "PerfStat", interval_ms=interval_ms)
         check_list(name or "PerfStat", events=events)
         self.events = tuple(events)
         self.pid = pid

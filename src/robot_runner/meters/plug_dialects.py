@@ -155,7 +155,7 @@ class _ShellyFirst:
         power, voltage, current = (_number(fields, name) for name in ("power", "voltage", "current"))
         if fields.get("is_valid") is False:
             raise ValueError("the plug says that its reading is not valid")
-        if joules is None:  # without a counter it measures nothing, like a Shelly 1: the power is one that somebody set
+        if joules is None:  # without a counter it measures nothing, like a Shelly 1: the power is a set one
             power = None
         return _required(ElectricalReading(power, voltage, current, joules), meters)
 

@@ -10,13 +10,13 @@ from robot_runner.core.events.context import RobotRunnerContext
 from robot_runner.core.events.measure import Origin
 from robot_runner.core.events.window import Window
 from robot_runner.core.plugin import Profiler
-from robot_runner.measuring.evaluation import publish_measures
+from robot_runner.measuring.evaluation import NEVER_STARTED, publish_measures
 from robot_runner.measuring.live_samples import LiveSamples
 from robot_runner.measuring.measured_machine import clock_details, machine_clock
+from robot_runner.measuring.parameter_checks import check_numbers
 from robot_runner.measuring.periodic import PeriodicSampler, Sampling
 from robot_runner.measuring.quality import Column, report_quality, write_samples
 from robot_runner.measuring.series import Series
-from robot_runner.meters.parameter_checks import check_positive
 
 R = TypeVar("R")
 R_co = TypeVar("R_co", covariant=True)
@@ -76,7 +76,7 @@ class PolledProfiler(Profiler, Generic[R]):
 
     def __init__(self, *, name: str | None = None, rate_hz: float = 10.0) -> None:
         super().__init__(name=name)
-        check_positive(self.name, rate_hz=rate_hz)
+        check_numbers(self.name, rate_hz=rate_hz)
         self.rate_hz = rate_hz
         self._meter: Meter[R] | None = None
         self._sampler: Sampler[R] | None = None
@@ -177,7 +177,7 @@ class PolledProfiler(Profiler, Generic[R]):
         clock = machine_clock(context)
         window, sampling = context.times.window(clock), self._sampling
         if sampling is None or window is None:
-            context.doubt("nothing was measured: the measurement was never started")
+            context.doubt(NEVER_STARTED)
         else:
             measured = self._measured = sampling.over(window)
             details = {**clock_details(context), "rate_hz": self.rate_hz, **self.details()}

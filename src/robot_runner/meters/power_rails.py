@@ -163,8 +163,8 @@ class PowerRails(ElectricalProfiler):
                 self._states.update(self._statuses(self._connected(context)))
         if is_first and isinstance(self._sampler, HostSampler):
             self._report = self._sampler.report()
-            if self._report.clock is not None:
-                context.note_clock(self._report.clock.facts())
+            if self._report.clock_facts is not None:
+                context.note_clock(self._report.clock_facts)
 
     def doubts(self, sampling: Sampling[Readings]) -> Iterator[str]:
         """Yield doubts about the rails, the connection and the computer's clock."""
@@ -194,7 +194,8 @@ class PowerRails(ElectricalProfiler):
             rail.name: {"chip": rail.chip, **{quantity: file.path for quantity, file in rail.files.items()}}
             for rail in self._rails
         }
-        return {**super().details(), "host": self.host, "rails": files, "form": self._report.form}
+        report = {"form": self._report.form, "host_clock": self._report.clock_facts}
+        return {**super().details(), "host": self.host, "rails": files, **report}
 
     def _statuses(self, host: FileHost) -> Iterator[tuple[str, str]]:
         batteries = [(rail.name, rail.status) for rail in self._rails if rail.status is not None]

@@ -14,12 +14,12 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 from robot_runner.core.errors import Finding, LinkError, PluginError, did_you_mean
 from robot_runner.core.events.context import RobotRunnerContext
 from robot_runner.core.events.measure import Measure
+from robot_runner.measuring.parameter_checks import check_list, check_numbers
 from robot_runner.measuring.quality import Column
 from robot_runner.measuring.series import Series, cut, growth, integrate, mean, renewed_every
 from robot_runner.meters.counters import fall_count, unwrapped
 from robot_runner.meters.electrical_readings import OFF_SHARE, step_error
 from robot_runner.meters.http_requests import HttpDevice, Secret, check_url
-from robot_runner.meters.parameter_checks import check_list, check_positive
 from robot_runner.meters.polled import Meter, PolledProfiler, known_series
 from robot_runner.meters.scraped_metric import BUCKETS, ScrapedMetric
 
@@ -31,7 +31,7 @@ _INSTALL = "Install it: pip install 'robot-runner[prometheus]'."
 #: A series is updated rarely if an update takes this many scrapes, and this share of the window: at each edge a counter
 #: may be behind by as much, and a gauge does not show changes in between.
 _SELDOM_SCRAPES, _SELDOM_COUNTED, _SELDOM_GAUGED = 3, 0.05, 0.2
-#: Units, with or without a prefix, of what differs at each renewal, unless it is told in whole watts.
+#: Units, with or without a prefix, of what differs at each renewal, unless it is in whole watts.
 _RESTLESS = ("W", "J")
 #: The unit in the help of a metric, such as `Power draw (in W).` of NVIDIA's DCGM exporter.
 _UNIT_IN_HELP = re.compile(r"\(in [^)]+\)")
@@ -151,7 +151,7 @@ class Prometheus(PolledProfiler[Scrape]):
         if not metrics:
             fix = "Name what it shows: metrics=['node_load1']."
             raise PluginError(f"metrics is {metrics!r}", where=self.name, fix=fix)
-        check_positive(self.name, timeout_s=timeout_s)
+        check_numbers(self.name, timeout_s=timeout_s)
         self.metrics = tuple(ScrapedMetric(selector=each) if isinstance(each, str) else each for each in metrics)
         self.measures: Sequence[Measure] = tuple(metric.yields for metric in self.metrics)
         names = [measure.name for measure in self.measures]

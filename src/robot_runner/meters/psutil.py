@@ -15,7 +15,7 @@ from robot_runner.core.events.window import Window
 from robot_runner.core.links.declared_host import LOCAL
 from robot_runner.core.plugin import Circumstances, Profiler
 from robot_runner.measuring.devices import connect_host
-from robot_runner.measuring.evaluation import publish_measures
+from robot_runner.measuring.evaluation import NEVER_STARTED, publish_measures
 from robot_runner.measuring.host import (
     EndingSampler,
     HostLink,
@@ -31,9 +31,9 @@ from robot_runner.measuring.host import (
 from robot_runner.measuring.live_samples import LiveSamples
 from robot_runner.measuring.measured_machine import Computer, host_findings, machine_clock
 from robot_runner.measuring.on_board_session import FORMS
+from robot_runner.measuring.parameter_checks import check_list, check_numbers
 from robot_runner.measuring.quality import Column
 from robot_runner.measuring.utilisation import Selection, Utilisation, means_over
-from robot_runner.meters.parameter_checks import check_list, check_positive
 
 _REMEDY = "Look at the load of the computer, at the network and at samples.csv before you use this run."
 #: For the estimated size of raw data: bytes of a sample, of each core in it, and of each process; a mission's duration,
@@ -96,7 +96,7 @@ class PsUtil(Profiler):
         namespace: str = "",
     ) -> None:
         super().__init__(name=name)
-        check_positive(self.name, rate_hz=rate_hz)
+        check_numbers(self.name, rate_hz=rate_hz)
         if form is not None and form not in FORMS:
             raise PluginError(f"form is {form!r}", where=self.name, fix=did_you_mean(form, FORMS))
         over_ssh = {"is_streamed": is_streamed, "ssh_config": ssh_config, "form": form}
@@ -197,15 +197,15 @@ class PsUtil(Profiler):
             samples = ()
             context.doubt(f"the samples could not be fetched: {error.problem}", fix=error.fix)
         report = report_of(sampler, self.rate_hz)
-        if report.clock is not None:
-            context.note_clock(report.clock.facts())
+        if report.clock_facts is not None:
+            context.note_clock(report.clock_facts)
         self._utilisation = Utilisation(samples, self._sampled, self.selection, report, self._link.is_simulated)
 
     def populate_run_data(self, context: RobotRunnerContext) -> None:
         """Publish the mean utilisations; no value where samples cover too little."""
         sampled, mission = self._utilisation, context.times.window(self._clock)
         if sampled is None or mission is None:
-            context.doubt("nothing was measured: the measurement was never started", fix=_REMEDY)
+            context.doubt(NEVER_STARTED, fix=_REMEDY)
         else:
             measured = sampled.over(mission)
             for each in measured.doubted(context.plugin_data):

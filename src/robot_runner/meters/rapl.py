@@ -13,10 +13,10 @@ from robot_runner.core.errors import Finding, PluginError, did_you_mean
 from robot_runner.core.events.context import RobotRunnerContext
 from robot_runner.core.events.measure import Measure, Over
 from robot_runner.measuring.measured_machine import THIS_MACHINE, simulation_findings
+from robot_runner.measuring.parameter_checks import check_list
 from robot_runner.measuring.quality import Column
 from robot_runner.measuring.series import Series, growth, longest_standstill
 from robot_runner.meters.counters import Counters, FileCounters, fall_count, unwrapped
-from robot_runner.meters.parameter_checks import check_list
 from robot_runner.meters.polled import PolledProfiler
 
 if TYPE_CHECKING:

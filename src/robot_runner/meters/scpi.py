@@ -14,9 +14,9 @@ from robot_runner.core.errors import Finding, PluginError, did_you_mean
 from robot_runner.core.events.context import RobotRunnerContext
 from robot_runner.core.plugin import Circumstances
 from robot_runner.measuring.measured_machine import simulation_findings
+from robot_runner.measuring.parameter_checks import check_list, check_numbers
 from robot_runner.meters.electrical import ElectricalProfiler
 from robot_runner.meters.electrical_readings import ElectricalReading
-from robot_runner.meters.parameter_checks import check_list, check_positive
 from robot_runner.meters.polled import trial_findings
 
 _INSTALL = "Install it: pip install 'robot-runner[scpi]'."
@@ -28,7 +28,7 @@ _ANSWER = re.compile(
 )
 #: A unit with its prefix, such as `mA`, `kWh`, `VDC`, `Amps`.
 _WORD = re.compile(r"([munkµ]?)(Wh|VAR|VA|W|V|Ah|A|J)(?:(?<=W)atts?|(?<=V)olts?|(?<=A)mps?)?(?:[AD]C)?", re.IGNORECASE)
-#: What a Keithley 2001 or 2002 tells of a reading, between its exponent and its unit: normal, overflow, relative.
+#: The status of a reading that a Keithley 2001 or 2002 writes between exponent and unit: normal, overflow, relative.
 _STATUS = re.compile(r"([NOR])([VA][AD]C)")
 #: Two whole numbers with a comma between them may be one number.
 _COMMA = re.compile(r"\s*[-+]?\d+,\d+\s*[a-zA-Z]*\s*")
@@ -307,7 +307,7 @@ class Scpi(ElectricalProfiler):
         if energy_unit not in _ENERGY_UNITS:
             fix = did_you_mean(energy_unit, _ENERGY_UNITS)
             raise PluginError(f"energy_unit is {energy_unit!r}", where=self.name, fix=fix)
-        check_positive(self.name, timeout_s=timeout_s)
+        check_numbers(self.name, timeout_s=timeout_s)
         check_list(self.name, setup=setup)
         self.resource = resource
         self.energy_unit = energy_unit

@@ -12,11 +12,11 @@ from robot_runner.core.design.numeric_range import is_whole
 from robot_runner.core.errors import Finding, LinkError, PluginError, did_you_mean
 from robot_runner.core.events.context import RobotRunnerContext
 from robot_runner.core.links.connect import SIMULATED, is_simulated
+from robot_runner.measuring.parameter_checks import check_numbers
 from robot_runner.meters.electrical import ElectricalProfiler
 from robot_runner.meters.electrical_readings import Readings
 from robot_runner.meters.http_requests import HttpDevice, Secret, check_url
 from robot_runner.meters.mqtt_requests import MQTT_INSTALL, MqttRequests
-from robot_runner.meters.parameter_checks import check_positive
 from robot_runner.meters.plug_dialects import DIALECTS, PlugDialect
 from robot_runner.meters.polled import Meter, trial_findings
 
@@ -116,7 +116,7 @@ class SmartPlug(ElectricalProfiler):
             raise PluginError(f"topic is {topic!r}", where=self.name, fix=fix)
         if not is_whole(channel) or channel < 0:
             raise PluginError(f"channel is {channel!r}", where=self.name, fix="Count the outlets from 0.")
-        check_positive(self.name, timeout_s=timeout_s)
+        check_numbers(self.name, timeout_s=timeout_s)
         self.kind = kind
         self.url = None if url is None else check_url(url, where=self.name)
         self.broker = None if broker is None else check_url(broker, where=self.name, schemes=("mqtt", "mqtts"))

@@ -14,7 +14,7 @@ from robot_runner.core.events.window import Window
 from robot_runner.core.links.connect import is_simulated
 from robot_runner.core.plugin import Circumstances, Profiler
 from robot_runner.measuring.devices import open_serial_line
-from robot_runner.measuring.evaluation import publish_measures
+from robot_runner.measuring.evaluation import NEVER_STARTED, publish_measures
 from robot_runner.measuring.periodic import Sampling
 from robot_runner.measuring.quality import Column, SampleQuality, quality_of, report_quality, write_samples
 from robot_runner.measuring.serial_line import SerialLine, port_problem
@@ -194,7 +194,7 @@ class WattsUpPro(Profiler):
         self._recording, self._begun_at = recording, begun_at
 
     def stop_measurement(self, context: RobotRunnerContext) -> None:
-        """Note the time; the meter goes on until `stop_run`, so that no other profiler waits for it."""
+        """Note the time; the meter runs until `stop_run`, so that no other profiler waits for it."""
         if self._begun_at is not None and self._sampled is None:
             self._sampled = Window(self._begun_at, context.clock.now())
 
@@ -206,7 +206,7 @@ class WattsUpPro(Profiler):
         self._is_over = True
         end = (context.window or sampled).end
         try:
-            recording.wait(lambda: _reaches(recording.samples, end), context.clock, _AFTERMATH)
+            recording.wait(lambda: any(each.time >= end for each in recording.samples[-1:]), context.clock, _AFTERMATH)
             recording.line.write(_END)
         except LinkError as error:
             context.doubt(f"the line to the power meter was lost: {error.problem}", fix=error.fix)
@@ -222,7 +222,7 @@ class WattsUpPro(Profiler):
         """Publish energy and mean power; no value if too few records came."""
         recording, window = self._recording, context.window
         if recording is None or window is None:
-            context.doubt("nothing was measured: the measurement was never started", fix=_FIX)
+            context.doubt(NEVER_STARTED, fix=_FIX)
         else:
             report_quality(context, recording.quality(window), window, sampled=self._sampled, fix=_FIX)
             for problem in doubts_about_readings(recording.sampling(window)):
@@ -237,7 +237,3 @@ class WattsUpPro(Profiler):
             return {}
         power = mean_of_intervals(self._recording.series("watts"), window)
         return {"Energy": None if power is None else power * window.duration, "MeanPower": power}
-
-
-def _reaches(samples: Sequence[WattsUpSample], end: float) -> bool:
-    return bool(samples) and samples[-1].time >= end

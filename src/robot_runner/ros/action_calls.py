@@ -190,7 +190,7 @@ class LinkGoals:
         for goal in open_goals:
             try:
                 goal.cancel(timeout=max(0.1, deadline - time.monotonic()))
-            except Exception as error:  # noqa: BLE001 - of whichever kind: the others are cancelled, and it is told
+            except Exception as error:  # noqa: BLE001 - any failure: it is reported, and the others are cancelled
                 faults.append(as_link_error(error, where=goal.action))
         for client in clients:
             _leave(client)

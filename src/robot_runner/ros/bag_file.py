@@ -20,7 +20,7 @@ from robot_runner.ros.recorded_bag import RecordedBag
 if TYPE_CHECKING:
     from robot_runner.ros.topic_statistics import TypedTopic
 
-#: So many messages of a bag tell when it began, and the period of each topic.
+#: How many messages of a bag are read for when it began, and for the period of each topic.
 _FIRST = 2000
 _INSTALL = "Install it: pip install 'robot-runner[bag]'."
 
@@ -127,14 +127,14 @@ class Ros1Bag:
 
 
 def messages_in(folder: Path) -> int | None:
-    """Return how many messages the bag in a folder holds; None where that cannot be told."""
+    """Return how many messages the bag in a folder holds; None where that is not known."""
     with suppress(PluginError), RecordedBag(folder) as bag:
         return bag.count
     return None
 
 
 def began_late(folder: Path, begin_ns: int) -> float:
-    """Return how long after `begin_ns`, in ns since the epoch, a bag began, s; 0 where it was in time or nothing tells.
+    """Return how long after `begin_ns`, in ns since the epoch, a bag began, s; 0 if in time, or not known.
 
     Each topic's first message is due one of its own periods after that moment. A topic may be silent at first, so that
     the earliest of them counts.
@@ -155,7 +155,7 @@ def _delays(bag: RecordedBag, begin_ns: int) -> Iterator[float]:
 
 
 def _offers(link: RobotLink, topic: str) -> set[Qos]:
-    """Return the profiles that the publishers of a topic offer; none where the graph does not tell."""
+    """Return the profiles that the publishers of a topic offer; none where they are not known."""
     try:
         return {each.qos for each in link.publishers(topic) if each.qos is not None}
     except LinkError:  # a rosbridge without rosapi
@@ -255,7 +255,7 @@ class LinkRecorder:
 
         subscription = link.subscribe_raw(topic.name, topic.message_type, receive)
         self._subscriptions.callback(subscription.close)
-        # In ROS 1, only who is connected to a publisher knows what it offers.
+        # In ROS 1, only a connected subscriber knows what a publisher offers.
         definition, offers = link.definition(topic.message_type), _offers(link, topic.full_name)
         with self._order:
             number = self._bag.add_topic(topic.full_name, topic.message_type, definition, offers)

@@ -21,17 +21,17 @@ from robot_runner.ros.shapes import stamp_of
 
 #: The topic of the time that nodes live by where `use_sim_time` is set, and its type.
 CLOCK, _CLOCK_TYPE = "/clock", "rosgraph_msgs/Clock"
-#: How often the time is told, Hz of real time, as `rosbag play` does.
+#: How often the time is published, Hz of real time, as `rosbag play` does.
 CLOCK_RATE = 100.0
 #: How the names of topics end that are meant for many publishers: transforms of different frames, logs, parameters. A
-#: SLAM node under test, say, tells where the map is beside the odometry of the bag.
+#: SLAM node under test, say, publishes the pose of the map beside the odometry of the bag.
 _SHARED = frozenset({"tf", "tf_static", "diagnostics", "rosout", "rosout_agg", "parameter_events"})
 #: So many messages are read ahead at most while the next one is not due, and reading ends so long before that, s.
 _AHEAD, _MARGIN = 200, 0.002
 #: A message that is due within so little, s, is published at once: a sleep is no more precise than that.
 _SLEEP = 50e-6
 
-#: How long a program of ROS may take until its first message is heard, and to end once the bag is over, s.
+#: How long a program of ROS may take until its first message is received, and to end once the bag is over, s.
 _STARTUP, _GRACE = 30.0, 10.0
 _LOOK = 0.02
 
@@ -112,7 +112,7 @@ class LinkPlayer:
                 self._link.advertise(topic.name, topic.message_type, qos=topic.qos)
 
     def _with_times(self, first_ns: int) -> Iterator[RecordedMessage]:
-        """Yield the messages, and before each the times that are to be told by then; the last message ends it."""
+        """Yield the messages, and before each the times to publish by then; the last message ends it."""
         step, told = max(1, round(1e9 * self._rate / CLOCK_RATE)), first_ns
         while self._ready or self._read_one():
             message = self._ready.popleft()
@@ -177,13 +177,13 @@ class ProgramPlayer:
             raise self._failure()
 
     def close(self) -> None:
-        """End it, if it goes on; closing twice does nothing."""
+        """End the player, if it still runs; closing twice does nothing."""
         self._process.stop(ENDING[self._encoding], grace=_GRACE)
 
     def _failure(self) -> PluginError:
         ending = self._process.stop(ENDING[self._encoding], grace=_GRACE)
         program = PROGRAMS[self._encoding]
-        problem = f"{program} ended with exit code {ending.exit_code}: {ending.complaint or 'it said nothing'}"
+        problem = f"{program} ended with exit code {ending.exit_code}: {ending.complaint or 'it wrote no message'}"
         return PluginError(problem, where="PlayBag", fix="Execute it by hand to see why.")
 
 
@@ -209,7 +209,7 @@ def playing(bag: RecordedBag, topics: Sequence[str] | None, *, rate: float, has_
 
 
 def refuse_rivals(link: RobotLink, topics: Sequence[str], *, allowed: int = 0) -> None:
-    """See that nobody else publishes what is played, but for topics that many share: what is under test would get both.
+    """Refuse other publishers of what is played, as nodes would get both; topics that many nodes share are left out.
 
     Args:
         link: to the graph.
@@ -217,7 +217,7 @@ def refuse_rivals(link: RobotLink, topics: Sequence[str], *, allowed: int = 0) -
         allowed: how many others may publish each: the program that plays is one.
 
     Raises:
-        PluginError: somebody does; all of them are its findings.
+        PluginError: there are others; each is one of its findings.
     """
     faults = []
     for topic in (each for each in topics if each.rpartition("/")[2] not in _SHARED):

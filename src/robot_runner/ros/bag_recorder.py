@@ -16,8 +16,9 @@ from robot_runner.core.errors import LinkError, PluginError
 from robot_runner.core.events.context import SystemClock
 from robot_runner.core.links.declared_host import LOCAL
 from robot_runner.core.links.robot import Encoding, GraphListing
-from robot_runner.core.links.ssh_command import execute, remedy, ssh_command
+from robot_runner.core.links.ssh_command import BEGIN, execute, remedy, ssh_command
 from robot_runner.measuring.meter_process import MeterProcess
+from robot_runner.ros.graph_transport import until
 
 #: The program that records and plays messages of each generation of ROS.
 PROGRAMS = {Encoding.ROS1: "rosbag", Encoding.CDR: "ros2"}
@@ -29,6 +30,8 @@ _STARTUP, _GRACE, _FETCH = 15.0, 30.0, 600.0
 _ENDING = 5.0
 #: How long a publisher takes to connect to a subscription that the graph knows, s: tenths, over Wi-Fi.
 _CONNECTING = 0.5
+#: As `passes_login`, of an input that cannot be gone back in: a shell reads no byte beyond a line.
+_PASS_LOGIN = f"""while IFS= read -r line && [ "$line" != '{BEGIN}' ]; do :; done"""
 _NOT_FINISHED = "the recorder has not finished the bag within {:g} s"
 #: How often to look into the folder until the bag is finished, s.
 _LOOK = 0.02
@@ -42,7 +45,7 @@ ENDING = {Encoding.ROS1: signal.SIGTERM, Encoding.CDR: signal.SIGINT}
 _BEAT = 10.0
 
 #: Recording goes on until this script's input ends, which it does when ssh ends for any reason; then the recorder gets
-#: its signal. The first line of output names the folder. Without `set -m` the recorder would ignore SIGINT.
+#: its signal. The line of output behind BEGIN names the folder. Without `set -m` the recorder would ignore SIGINT.
 _ON_HOST = """set -m
 trap : INT TERM
 folder=$(mktemp -d) && cd "$folder" || exit 1
@@ -129,23 +132,25 @@ class BagProgram:
 
     def _unfinished(self) -> str | None:
         """Wait for the recorder behind `rosbag`, which outlives it: an unfinished bag is called `.active`."""
-        deadline = time.monotonic() + _GRACE
-        while is_unfinished := any(self._folder.glob("*.active")):
-            if time.monotonic() >= deadline:
-                break
-            time.sleep(_LOOK)
-        return _NOT_FINISHED.format(_GRACE) if is_unfinished else None
+        is_finished = until(lambda: not any(self._folder.glob("*.active")), _GRACE)
+        return None if is_finished else _NOT_FINISHED.format(_GRACE)
 
     def _has_begun(self) -> bool:
         if self._host != LOCAL:
-            return bool(self._process.records)
+            return self._there is not None
         return any(path.name.startswith("bag") for path in self._folder.iterdir())
+
+    @property
+    def _there(self) -> str | None:
+        """The folder of the bag on the host, once it is told there."""
+        said = [record.text for record in self._process.records]
+        return said[said.index(BEGIN) + 1] if BEGIN in said[:-1] else None
 
     def _fetched(self) -> str | None:
         """Copy the host's folder into ours, and remove it there once all of it is here; return what went wrong."""
-        if not self._process.records:
+        if self._there is None:
             return "the recorder on the robot did not say where its bag is"
-        remote = shlex.quote(self._process.records[0].text)
+        remote = shlex.quote(self._there)
         # The script finishes the bag a moment after its ssh has ended.
         wait = f"for i in $(seq {round(10 * _GRACE)}); do [ -e {remote}/done ] && break; sleep 0.1; done"
         command = ssh_command(self._host, f"{wait}; tar -C {remote} -cf - .", config=self._config)
@@ -168,9 +173,9 @@ def recording(encoding: Encoding, topics: Sequence[str]) -> list[str]:
 
 
 def _unpacked(command: Sequence[str], folder: Path) -> str | None:
-    """Unpack the archive that a command writes, as it comes, since a bag may be large; return what went wrong."""
+    """Unpack the archive that a host writes, as it comes, since a bag may be large; return what went wrong."""
     with tempfile.TemporaryFile() as said, _started(command, said) as sent:
-        unpacking = ["tar", "-C", str(folder), "-xf", "-"]
+        unpacking = ["sh", "-c", f'{_PASS_LOGIN}; exec tar -C "$1" -xf -', "sh", str(folder)]
         try:
             unpacked = subprocess.run(  # noqa: S603  # an argument list
                 unpacking, stdin=sent.stdout, capture_output=True, timeout=_FETCH, check=False

@@ -19,7 +19,7 @@ _STANDARD = {
 #: A car's command; both generations have the same.
 _CAR = "float32 steering_angle\nfloat32 steering_angle_velocity\nfloat32 speed\nfloat32 acceleration\nfloat32 jerk\n"
 _FIBONACCI = "int32 order\n---\nint32[] sequence\n---\nint32[] sequence\n"
-#: Foxy's Nav2 does not tell it.
+#: Not in Foxy's Nav2.
 _ESTIMATE = "builtin_interfaces/Duration estimated_time_remaining\n"
 _NAVIGATED = f"""geometry_msgs/PoseStamped current_pose
 builtin_interfaces/Duration navigation_time

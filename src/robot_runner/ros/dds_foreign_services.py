@@ -1,8 +1,8 @@
 """Services that are offered through other middlewares than Cyclone DDS: Fast DDS, above all, which ROS 2 comes with.
 
-Requests and replies have no header there. A server knows a request by its writer and its number, which each sample has,
-and tells both beside its reply, in the inline QoS (`related_sample_identity`). A reader of Cyclone DDS does not show
-that; but Cyclone DDS can capture the packets that it receives, and there it stands.
+Requests and replies have no header there. A request is identified by its writer and its number, which each sample has,
+and a reply has both in its inline QoS (`related_sample_identity`). A reader of Cyclone DDS does not give access to
+them, but Cyclone DDS can capture the packets that it receives, and these contain them.
 """
 
 from __future__ import annotations
@@ -51,9 +51,9 @@ _CONFIGURATION = "CYCLONEDDS_URI"
 #: number that no domain on the network can have, and has the robot's number in the network.
 _numbers = itertools.count(1000)
 _PREFIX_BYTES = 12
-#: How long the server's writer may take to tell our reader that it knows of it, s, once the two are matched here.
+#: How long the server's writer may take to announce its samples to our reader, s, once the two are matched here.
 _MEETING_SECONDS = 1.0
-#: So many pairs of a writer and a reader are kept: a robot has some hundred, and anybody in the network may tell more.
+#: So many pairs of a writer and a reader are kept: a robot has some hundred, and any node in the network may add more.
 _MOST_MET = 10_000
 _POLL = 0.005
 _END_SECONDS = 5.0
@@ -226,11 +226,11 @@ class ForeignServices:
         return self._answers.pop(request)
 
     def has_met(self, writer: bytes, reader: bytes) -> bool:
-        """Whether a writer has told a reader what it has sent."""
+        """Whether a writer has announced to a reader what it has sent."""
         return (writer, reader) in self._met
 
     def wait_for(self, is_so: Any, deadline: float) -> bool:
-        """Wait until `is_so` holds, asking again and again: the domain that is captured has nobody to tell."""
+        """Wait until `is_so` holds by polling: the captured domain has no event to wait for."""
         while not is_so():
             capture = self._capture
             if time.monotonic() > deadline or capture is None:

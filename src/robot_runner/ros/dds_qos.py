@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
 from cyclonedds.qos import Policy
 from cyclonedds.qos import Qos as DdsQos
 
 from robot_runner.core.links.robot import Qos
-from robot_runner.ros.qos_policies import Policies, adapted, asked_by, offered_by
+from robot_runner.ros.qos_policies import FOR_EVER_NS, Policies, adapted, asked_by, offered_by, seconds_of
 
 #: How long a reliable writer waits for readers that do not keep up before it gives up, ns.
 _MAX_BLOCKING_NS = 500_000_000
-
-#: Durations that a middleware means by infinite begin here, ns: Fast DDS' has 2^31 - 1 s.
-_FOR_EVER_NS = (2**31 - 1) * 10**9
 
 _TRANSIENT_LOCAL = Policy.Durability.TransientLocal
 #: XCDR1, the one encoding that all middlewares of ROS 2 support.
@@ -45,20 +41,15 @@ def adapted_profile(offers: Sequence[DdsQos], user_data: str = "") -> DdsQos:
 def policies_of(qos: DdsQos) -> Policies:
     """Return what policies of DDS request or offer."""
     kept = (_TRANSIENT_LOCAL, Policy.Durability.Transient, Policy.Durability.Persistent)
-    deadline = qos[Policy.Deadline].deadline if Policy.Deadline in qos else _FOR_EVER_NS
-    alive = qos[Policy.Liveliness] if Policy.Liveliness in qos else Policy.Liveliness.Automatic(_FOR_EVER_NS)
+    deadline = qos[Policy.Deadline].deadline if Policy.Deadline in qos else FOR_EVER_NS
+    alive = qos[Policy.Liveliness] if Policy.Liveliness in qos else Policy.Liveliness.Automatic(FOR_EVER_NS)
     return Policies(
         Policy.Reliability.BestEffort not in qos,
         any(each in qos for each in kept),
-        deadline=_seconds(deadline),
-        lease=_seconds(alive.lease_duration),
+        deadline=seconds_of(deadline),
+        lease=seconds_of(alive.lease_duration),
         is_manual=isinstance(alive, Policy.Liveliness.ManualByTopic),
     )
-
-
-def _seconds(nanoseconds: int) -> float:
-    """Return a duration in s; what is about as long as can be means none."""
-    return nanoseconds / 1e9 if nanoseconds < _FOR_EVER_NS else math.inf
 
 
 def _as_dds(asked: Policies, user_data: str) -> DdsQos:

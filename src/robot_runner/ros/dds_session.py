@@ -49,9 +49,8 @@ class Nodes:
         self._name = name
         self._lock = threading.Lock()
         self._told: dict[bytes, list[str]] = {}
-        self._owners: dict[bytes, dict[bytes, str]] = {}  # the node of each endpoint, by participant
-        self._readers: list[Any] = []
-        self._writers: list[Any] = []
+        self._endpointsers: dict[bytes, dict[bytes, str]] = {}  # the node of each endpoint, by participant
+        self._endpoints: dict[str, list[UUID]] = {"reader": [], "writer": []}
         shape = session.types.shape(_TYPE)
         self._gid_bytes = session.types.shape("rmw_dds_common/Gid").fields[0].count
         self._wire_type = topic_wire_type(shape)
@@ -82,26 +81,21 @@ class Nodes:
         participant = endpoint.participant.bytes
         with self._lock:
             names = self._told.get(participant, [])
-            owner = self._owners.get(participant, {}).get(endpoint.key.bytes)
+            owner = self._endpointsers.get(participant, {}).get(endpoint.key.bytes)
         return owner or (names[0] if len(names) == 1 else "")
 
-    def add_reader(self, reader: Any) -> None:
-        """Announce a reader to the graph."""
+    def add(self, kind: str, guid: UUID) -> None:
+        """Announce a `reader` or a `writer` to the graph."""
         with self._lock:
-            self._readers.append(reader.guid)
-        self._tell()
-
-    def add_writer(self, writer: Any) -> None:
-        """Announce a writer to the graph."""
-        with self._lock:
-            self._writers.append(writer.guid)
+            self._endpoints[kind].append(guid)
         self._tell()
 
     def remove(self, guid: UUID) -> None:
         """Announce to the graph that a reader or writer is gone."""
         with self._lock:
-            self._readers = [each for each in self._readers if each != guid]
-            self._writers = [each for each in self._writers if each != guid]
+            self._endpoints = {
+                kind: [each for each in guids if each != guid] for kind, guids in self._endpoints.items()
+            }
         self._tell()
 
     def _tell(self) -> None:
@@ -109,10 +103,9 @@ class Nodes:
             node = {
                 "node_namespace": "/",
                 "node_name": self._name,
-                "reader_gid_seq": [self._gid(guid) for guid in self._readers],
-                "writer_gid_seq": [self._gid(guid) for guid in self._writers],
+                **{f"{kind}_gid_seq": list(map(self._gid, guids)) for kind, guids in self._endpoints.items()},
             }
-            nodes = [node] if self._readers or self._writers else []
+            nodes = [node] if any(self._endpoints.values()) else []
             self._told[self._session.guid.bytes] = [f"/{self._name}" for _ in nodes]
             message = {"gid": self._gid(self._session.guid), "node_entities_info_seq": nodes}
             self._writer.write(self._wire_type(self._session.types.serialise(_TYPE, message, Encoding.CDR)))
@@ -135,7 +128,7 @@ class Nodes:
         }
         with self._lock:
             participant = bytes(told["gid"]["data"][:_GUID_BYTES])
-            self._told[participant], self._owners[participant] = names, owners
+            self._told[participant], self._endpointsers[participant] = names, owners
 
 
 #: This long after joining, all participants on the graph have been discovered, s: DDS announces at once.
@@ -215,14 +208,14 @@ class Session:
         """Return a new writer of a topic, and announce it to the graph."""
         writer: DataWriter[Any] = DataWriter(self._participant, self._topic(topic, wire_type), qos)
         if topic != DISCOVERY_TOPIC:
-            self.nodes.add_writer(writer)
+            self.nodes.add("writer", writer.guid)
         return writer
 
     def reader(self, topic: str, wire_type: WireType, qos: DdsQos) -> DataReader[Any]:
         """Return a new reader of a topic, and announce it to the graph."""
         reader: DataReader[Any] = DataReader(self._participant, self._topic(topic, wire_type), qos)
         if topic != DISCOVERY_TOPIC:
-            self.nodes.add_reader(reader)
+            self.nodes.add("reader", reader.guid)
         return reader
 
     def settle(self, is_so: Callable[[], bool]) -> bool:

@@ -195,7 +195,7 @@ class _Publisher:
         is_matched = graph.wait_for(lambda: len(matched_subscriptions(self._writer)) >= wanted, _MATCHING_SECONDS)
         self._check_demands()
         # A reader that is cut off stays matched for seconds, and receives nothing of what is published.
-        # Once it counts as gone, nobody is left who has to acknowledge anything.
+        # Once it counts as gone, no reader is left that has to acknowledge anything.
         matched = set(matched_subscriptions(self._writer))
         is_taken = is_matched and self._is_acknowledged(_MATCHING_SECONDS)
         return is_taken and matched.issubset(matched_subscriptions(self._writer))
@@ -365,12 +365,12 @@ def _type_of(wire_type: WireType) -> str:
 
 
 def _other_version(topic: str, wire_type: WireType, endpoint: Endpoint, user_data: str) -> LinkError | None:
-    """Return the error that a publisher or subscriber has another version of our type, where both tell theirs."""
+    """Return the error that a publisher or subscriber has another version of our type, where both are known."""
     name, told = _type_of(wire_type), endpoint.type_hash
     is_ours = ros_type(endpoint.type_name) != name or told in {"", user_data}
     if is_ours or not user_data or is_action_part(name):
         return None
-    problem = f"it carries another version of {name} than the one that is known here"
+    problem = f"the topic carries another version of {name} than the one that is known here"
     fix = "Give the robot's own definition, or its distribution: robot = 'dds:types=path/to/its/package,distro=...'."
     return LinkError(problem, where=topic, fix=fix)
 

@@ -43,6 +43,7 @@ if TYPE_CHECKING:
 
 _logger = logging.getLogger(__name__)
 
+_Take = Callable[[Message], None]
 _Received = TypeVar("_Received")
 _Kept = TypeVar("_Kept", Advertised, Opened)
 
@@ -137,12 +138,11 @@ class GraphLink:
         return advertised is None or advertised.publisher.is_heard()
 
     def subscribe(
-        self, topic: str, message_type: str, callback: Callable[[Message], None], *, qos: Qos | None = None
+        self, topic: str, message_type: str, callback: _Take, *, qos: Qos | None = None, is_prompt: bool = False
     ) -> Subscription:
         """Call `callback` with each message of the topic."""
-        return self._subscribe(
-            topic, message_type, lambda reception: callback(reception.message()), qos, Lane.CALLBACKS
-        )
+        lane = Lane.PROMPT if is_prompt else Lane.CALLBACKS
+        return self._subscribe(topic, message_type, lambda reception: callback(reception.message()), qos, lane)
 
     def subscribe_raw(
         self, topic: str, message_type: str, callback: Callable[[RawMessage], None], *, qos: Qos | None = None

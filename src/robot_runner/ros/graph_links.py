@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -21,27 +20,12 @@ from robot_runner.core.links.kinds import FoundRobot, link_key
 from robot_runner.core.links.robot import RobotLink
 from robot_runner.core.links.robot_name import RobotName
 from robot_runner.core.storage.input_files import InputFile, input_file
-from robot_runner.core.words import enumerated
 from robot_runner.ros.definition_files import SUFFIXES, naming_files
 from robot_runner.ros.graph_clock import GraphClock
 
 if TYPE_CHECKING:
     from robot_runner.ros.graph_link import GraphLink
-
-
-def check_installed(packages: Iterable[str], *, way: str, extra: str) -> None:
-    """Check that the packages that a kind of link needs are installed; none is imported.
-
-    Raises:
-        LinkError: some are not.
-
-    Example:
-        >>> check_installed(["json"], way="over DDS", extra="dds")
-    """
-    missing = [package for package in packages if importlib.util.find_spec(package) is None]
-    if missing:
-        problem = f"robot is reached {way}, but {enumerated(missing)} cannot be imported"
-        raise LinkError(problem, where="robot", fix=f"Install it: pip install 'robot-runner[{extra}]'.")
+    from robot_runner.ros.ros1_master import Master
 
 
 _DOMAIN = "ROS_DOMAIN_ID"
@@ -49,6 +33,7 @@ _DOMAIN = "ROS_DOMAIN_ID"
 _JOINED_BY = MappingProxyType(
     {"ros1": ("master", "ROS_MASTER_URI"), "ros2": ("domain", _DOMAIN), "dds": ("domain", _DOMAIN)}
 )
+_OPENING = "robot_runner.ros.link_opening"
 _CLOCK = "clock"
 _SYSTEM = "system"
 _GRAPH = "graph"
@@ -63,17 +48,15 @@ class GraphLinkKind:
 
     Attributes:
         description: in one line.
-        module: has the opener and the checks (`findings`); imported at first use.
-        opener: the function that opens it.
+        transport: names the functions of `link_opening` that check and open it; imported at first use.
         takes_address: whether it has an address, and no options.
-        client: modules that take long to import, which `module` imports only where they are needed.
-        is_slow_to_join: whether a new participant is not heard at once, because DDS has to discover it.
+        client: modules that take long to import, which opening imports only where they are needed.
+        is_slow_to_join: whether messages of a new participant are lost at first, because DDS has to discover it.
         can_be_forked: whether importing `client` starts no thread, so that processes can be forked afterwards.
     """
 
     description: str
-    module: str
-    opener: str
+    transport: str
     takes_address: bool = False
     client: tuple[str, ...] = ()
     is_slow_to_join: bool = False
@@ -87,8 +70,11 @@ class GraphLinkKind:
     def findings(self, name: RobotName) -> list[Finding]:
         """Return findings that prevent a link to a robot of this name; nothing is opened."""
         _clock_of(name)
-        findings: list[Finding] = self._opening(name).findings(_without_clock(name))
-        return findings
+        check: Callable[[RobotName], list[Finding]] = self._opening("check_{}", name)
+        try:
+            return check(_without_clock(name))
+        except LinkError as error:
+            return [error.as_finding()]
 
     def begin_look(self, name: RobotName, needs: Mapping[str, Sequence[GraphNeed]]) -> Callable[[], Sequence[Finding]]:
         """Begin to check whether the graph has what plugins need; return a function that waits for the findings."""
@@ -119,7 +105,7 @@ class GraphLinkKind:
 
     def preload(self, name: RobotName) -> None:
         """Import the client library; nothing is opened."""
-        self._opening(name)
+        self._opening("open_{}_link", name)
         for module in self.client:
             import_module(module)
 
@@ -133,8 +119,8 @@ class GraphLinkKind:
     def open(self, name: RobotName, clock: Clock, namespace: str = "") -> RobotLink:
         """Open a link outside a run, too; the caller closes it."""
         bare = _without_clock(name)
-        opener = getattr(self._opening(name), self.opener)
-        link: GraphLink = opener(bare.options if bare.address is None else bare.address, clock, namespace)
+        place = bare.options if bare.address is None else bare.address
+        link: GraphLink = self._opening("open_{}_link", name)(place, clock, namespace)
         link.graph = name.graph
         return link
 
@@ -159,14 +145,14 @@ class GraphLinkKind:
         chosen = _clock_of(name)
         if chosen is not None or name.link != "ros1":
             return chosen == _GRAPH
-        follows: bool = self._opening(name).follows_graph_clock(name.options)
-        return follows
+        master: Master = import_module(_OPENING).master_of(name.options)
+        return bool(master.parameter("/use_sim_time"))
 
-    def _opening(self, name: RobotName) -> Any:
+    def _opening(self, form: str, name: RobotName) -> Any:
         if self.takes_address and name.address is None:
             fix = "Write it as in rosbridge://robot:9090."
             raise LinkError("a rosbridge has an address, and none is named", where="robot", fix=fix)
-        return import_module(self.module)
+        return getattr(import_module(_OPENING), form.format(self.transport))
 
 
 class _FoundRobot:
@@ -186,26 +172,17 @@ class _FoundRobot:
 
 
 # The objects that entry points name.
-ROS1 = GraphLinkKind("ROS 1 with rospy", "robot_runner.ros.ros1_link", "open_ros1_link", client=("rospy",))
-ROS2 = GraphLinkKind(
-    "ROS 2 with rclpy",
-    "robot_runner.ros.ros2_link",
-    "open_ros2_link",
-    client=("rclpy",),
-    is_slow_to_join=True,
-    can_be_forked=False,
-)
+ROS1 = GraphLinkKind("ROS 1 with rospy", "ros1", client=("rospy",))
+ROS2 = GraphLinkKind("ROS 2 with rclpy", "ros2", client=("rclpy",), is_slow_to_join=True, can_be_forked=False)
 DDS = GraphLinkKind(
     "ROS 2 over DDS, with no ROS installed",
-    "robot_runner.ros.dds_link",
-    "open_dds_link",
+    "dds",
     client=("robot_runner.ros.dds_transport",),
     is_slow_to_join=True,
 )
 ROSBRIDGE = GraphLinkKind(
     "ROS 1 or 2 through a rosbridge, with no ROS installed",
-    "robot_runner.ros.rosbridge_link",
-    "open_rosbridge_link",
+    "rosbridge",
     takes_address=True,
     client=("robot_runner.ros.rosbridge_transport",),
 )

@@ -92,7 +92,7 @@ def _answer(looking: subprocess.Popen[str], deadline: float) -> list[Finding]:
         except subprocess.TimeoutExpired:
             looking.kill()
             looking.communicate()
-        return [_not_looked_at(f"it does not answer within {_SECONDS:g} s")]
+        return [_not_looked_at(f"the graph does not answer within {_SECONDS:g} s")]
     try:  # client libraries may print, too
         told: list[dict[str, Any]] = json.loads(answer.splitlines()[-1])
     except (IndexError, ValueError):

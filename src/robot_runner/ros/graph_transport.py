@@ -44,6 +44,7 @@ class Lane(Enum):
     """Who is called for what was received; no lane waits for another one, and each keeps the order of messages."""
 
     CALLBACKS = "callbacks"
+    PROMPT = "prompt callbacks"
     BYTES = "bytes"
     GOALS = "goals"
 
@@ -190,6 +191,16 @@ class Transport(Protocol):
 
     def close(self) -> None:
         """Leave the graph."""
+
+
+def until(claim: Callable[[], object], seconds: float, *, every: float = 0.02) -> bool:
+    """Wait until something holds, for `seconds` at most, looking `every` so many; return whether it does."""
+    deadline = time.monotonic() + seconds
+    while not claim():
+        if time.monotonic() >= deadline:
+            return False
+        time.sleep(every)
+    return True
 
 
 def is_hidden(name: str) -> bool:

@@ -17,7 +17,7 @@ from typing import Any, TypeAlias
 from robot_runner.core.errors import StorageError
 from robot_runner.core.storage.claim_locks import state_folder
 from robot_runner.core.storage.guarded_files import make_experiment_folder, read_json, remove
-from robot_runner.core.storage.outliving import process_stat
+from robot_runner.core.storage.outliving import started_at
 from robot_runner.core.storage.safe_write import write_beside_and_rename
 from robot_runner.ros.graph_addresses import graph_of
 from robot_runner.ros.parameter_values import ParameterValue, from_json, to_json
@@ -25,9 +25,6 @@ from robot_runner.ros.parameter_values import ParameterValue, from_json, to_json
 #: Values by node and by name.
 Settings: TypeAlias = "Mapping[str, Mapping[str, ParameterValue]]"
 
-#: The fields of /proc/<pid>/stat behind the program's name, from man 5 proc_pid_stat.
-_STATE, _STARTED = 0, 19
-_DEAD = "ZX"
 #: The folder of these files, on this computer: the processes of another cannot be checked from here.
 _FOLDER = "settings"
 #: The files of runs that this process is executing: with `RunProcess.IN_PROCESS` there may be several.
@@ -62,7 +59,7 @@ class KeptSettings:
     @classmethod
     def of_this_process(cls, kind: str, robot: str, plugin: str, before: Settings, wanted: Settings) -> KeptSettings:
         """Return an object whose owner is this process."""
-        return cls(kind, robot, plugin, before, wanted, (os.getpid(), _started(os.getpid())))
+        return cls(kind, robot, plugin, before, wanted, (os.getpid(), started_at(os.getpid())))
 
     @property
     def path(self) -> Path:
@@ -75,7 +72,7 @@ class KeptSettings:
         pid, started = self.owner
         if pid == os.getpid():
             return self.path not in _in_care
-        return not started or _started(pid) != started
+        return not started or started_at(pid) != started
 
     def write(self) -> None:
         """Write the file, and sync it to the disk.
@@ -140,9 +137,3 @@ def _read_all() -> Iterator[KeptSettings]:
 
 def _settings(stored: Mapping[str, Mapping[str, Any]]) -> Settings:
     return {node: {name: from_json(value) for name, value in values.items()} for node, values in stored.items()}
-
-
-def _started(pid: int) -> str:
-    """Return when a living process was started; empty for a dead one, and where there is no /proc (macOS)."""
-    stat = process_stat(pid)
-    return "" if not stat or stat[_STATE] in _DEAD else stat[_STARTED]

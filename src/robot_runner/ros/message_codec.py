@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from functools import cache
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -10,7 +11,7 @@ if TYPE_CHECKING:
 
     Converter = Callable[[Any], Any]
 
-#: The field in a type store of a type without fields, because IDL allows no empty structure.
+#: The field of a type without fields in ROS 2, such as one of constants only: IDL allows no empty structure.
 FILLER = "structure_needs_at_least_one_member"
 
 #: Arrays of these are `bytes` in a mapping, as in the client libraries of ROS.
@@ -47,8 +48,8 @@ class MessageCodec:
         self._store = store
         self._octets = OCTETS - {"byte"} if signed_bytes else OCTETS
         self._signed_alone = frozenset() if signed_bytes else frozenset({"byte"})
-        self._readers: dict[str, Converter] = {}
-        self._makers: dict[str, Converter] = {}
+        self._reader: Callable[[str], Converter] = cache(self._new_reader)
+        self._maker: Callable[[str], Converter] = cache(self._new_maker)
 
     def as_mapping(self, name: str, message: object) -> dict[str, Any]:
         """Return a message object of the store as a mapping; arrays are lists, those of octets `bytes`."""
@@ -65,11 +66,6 @@ class MessageCodec:
         fields = self._store.fielddefs[name][1]
         pairs = zip(fields, attributes, strict=True)
         return [(field, attribute, description) for (field, description), (attribute, _) in pairs if field != FILLER]
-
-    def _reader(self, name: str) -> Converter:
-        if name not in self._readers:
-            self._readers[name] = self._new_reader(name)
-        return self._readers[name]
 
     def _new_reader(self, name: str) -> Converter:
         parts = [(field, attribute, self._field_reader(kind)) for field, attribute, kind in self._fields(name)]
@@ -92,11 +88,6 @@ class MessageCodec:
         if inner[0] == "string":
             return list
         return bytes if inner[0] in self._octets else _list_of
-
-    def _maker(self, name: str) -> Converter:
-        if name not in self._makers:
-            self._makers[name] = self._new_maker(name)
-        return self._makers[name]
 
     def _new_maker(self, name: str) -> Converter:
         parts = [(field, self._field_maker(kind) or _same) for field, _, kind in self._fields(name)]

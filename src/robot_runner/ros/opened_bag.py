@@ -72,7 +72,7 @@ class OpenedBag:
         """Close the file; closing twice does nothing."""
         self._opened.close()
 
-    def messages(self, connections: Iterable[Any]) -> Iterator[tuple[Any, int, bytes]]:
+    def raw_messages(self, connections: Iterable[Any]) -> Iterator[tuple[Any, int, bytes]]:
         """Yield connection, time in ns since the epoch, and bytes of each message, in their order."""
         wanted = [each for connection in connections for each in self._as_filed(connection)]
         if wanted:  # rosbags would take an empty list for all

@@ -35,7 +35,7 @@ class OwnThread:
         self._tasks: queue.SimpleQueue[_Task | None] = queue.SimpleQueue()
 
     def call(self, act: Callable[[], T]) -> T:
-        """Return what `act` returns, or raise what it raises; `act` goes on also where the wait is interrupted."""
+        """Return what `act` returns, or raise what it raises; `act` is completed even if the wait is interrupted."""
         if self._process != os.getpid():
             self._tasks = queue.SimpleQueue()
             _thread.start_new_thread(_work, (self._tasks,))

@@ -242,7 +242,9 @@ class ServerParameters:
         for name in names:
             if name not in there:
                 fix = did_you_mean(name, there, "See that the node reads a parameter of this name.")
-                found.append((f"{self._key(node, name)} was not set before, and ROS 1 does not tell who reads it", fix))
+                found.append(
+                    (f"{self._key(node, name)} was not set before, and ROS 1 does not tell which node reads it", fix)
+                )
         live = _reconfigurable(self._link, [self._key(node, name) for name in names])
         if len(live) < len(names) and full in self._link.nodes():
             problem = f"{full} is running already, and a node of ROS 1 reads most of its parameters when it starts"

@@ -18,12 +18,13 @@ from robot_runner.core.links.connect import connect_robot, join_beforehand
 from robot_runner.core.links.robot import Encoding, RobotLink
 from robot_runner.core.links.robot_name import RobotName
 from robot_runner.core.storage.input_files import InputFile
+from robot_runner.measuring.parameter_checks import check_numbers
 from robot_runner.measuring.quality import Column, write_quality, write_samples
 from robot_runner.ros.bag_player import CLOCK, LinkPlayer, Played, ProgramPlayer, playing, refuse_rivals
 from robot_runner.ros.bag_recorder import PROGRAMS
 from robot_runner.ros.graph_addresses import is_of_environment
 from robot_runner.ros.recorded_bag import RecordedBag, RecordedTopic, bag_at
-from robot_runner.ros.robot_system import RobotSystem, check_numbers
+from robot_runner.ros.robot_system import RobotSystem
 from robot_runner.ros.topic_statistics import nearest_rank, robot_findings
 from robot_runner.ros.watchdog import velocity_command
 
@@ -53,9 +54,9 @@ class _By(StrEnum):
 class PlayBag(RobotSystem):
     """Plays a recorded bag: its first message begins the mission, and its last one ends it, `settle_s` later.
 
-    The plugin itself publishes the messages over the link to the robot, as far apart as they were recorded, and tells
-    how late each was; or `rosbag play` or `ros2 bag play` does it. The stamps in the messages stay those of the
-    recording. A bag of one generation of ROS is played on a graph of the other, too, by the plugin itself.
+    The plugin itself publishes the messages over the link to the robot, as far apart as they were recorded, and
+    measures how late each was; or `rosbag play` or `ros2 bag play` does it. The stamps in the messages stay those of
+    the recording. A bag of one generation of ROS is played on a graph of the other, too, by the plugin itself.
 
     Args:
         path: a `.bag`, `.mcap` or `.db3` file, or the folder of a bag; `treatment(...)` may stand for it.
@@ -64,7 +65,7 @@ class PlayBag(RobotSystem):
         rate: how many seconds of the bag go by in one second.
         clock: whether to publish the bag's time on `/clock`, for nodes with `use_sim_time`.
         by: `link`, or `program` for the player of ROS.
-        settle_s: how long the mission goes on after the last message, for what that causes, s.
+        settle_s: how long the mission lasts after the last message, for its effects, s.
         late_s: how late one message in a hundred may be published, s, before the run's values are doubted.
 
     Raises:
@@ -112,7 +113,7 @@ class PlayBag(RobotSystem):
         self.by = _By(by)
         self.settle_s = settle_s
         self.late_s = late_s
-        if self.by is _By.PROGRAM:  # it does not tell when it publishes what
+        if self.by is _By.PROGRAM:  # when it publishes each message is not known
             self.measures = _OF_PROGRAM
         self._bag: RecordedBag | None = None
         self._link_player: LinkPlayer | None = None
@@ -205,7 +206,7 @@ class PlayBag(RobotSystem):
                 self.doubt_unreached(context, connect_robot(context), topics)
 
     def stand_by(self, context: RobotRunnerContext) -> None:
-        """Join the graph, so that `make_safe` is heard at once."""
+        """Join the graph, so that the command of `make_safe` arrives at once."""
         if context.robot is not None:
             join_beforehand(context)
 

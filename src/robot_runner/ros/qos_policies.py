@@ -16,6 +16,8 @@ DEPTHS: Mapping[Qos, int] = MappingProxyType(
 )
 #: The depth of a subscription without a profile: one second at 1 kHz, for callbacks that take long.
 KEPT = 1000
+#: Durations that a middleware means by infinite begin here, ns: Fast DDS' has 2^31 - 1 s.
+FOR_EVER_NS = (2**31 - 1) * 10**9
 
 
 class Policies(NamedTuple):
@@ -82,6 +84,11 @@ def asked_by(qos: Qos) -> Policies:
     """Return the policies that a subscription with this profile requests."""
     # A transient local subscription gets the last message of each publisher: its depth must be enough for all of them.
     return offered_by(qos)._replace(depth=KEPT) if qos is Qos.TRANSIENT_LOCAL else offered_by(qos)
+
+
+def seconds_of(nanoseconds: int) -> float:
+    """Return the duration of a policy in s; 0, and one about as long as can be, mean none."""
+    return nanoseconds / 1e9 if 0 < nanoseconds < FOR_EVER_NS else math.inf
 
 
 def reachable(demands: Iterable[Policies], offered: Policies) -> int:

@@ -1,4 +1,4 @@
-"""A bag that somebody recorded, of either generation of ROS: what is in it, and its messages in their order."""
+"""A recorded bag of either generation of ROS: what is in it, and its messages in their order."""
 
 from __future__ import annotations
 
@@ -64,17 +64,15 @@ class RecordedMessage(NamedTuple):
     message: Message
 
 
-class RecordedBag:
+class RecordedBag(OpenedBag):
     """A bag that is open for reading; it is closed as a context manager.
 
     Args:
         path: a `.bag`, `.mcap` or `.db3` file, or the folder of a bag.
 
     Attributes:
-        encoding: of its messages, which tells its generation of ROS.
+        path: what was opened.
         topics: by their full names.
-        begin_ns, end_ns: when its first and its last message were recorded, ns since the epoch.
-        count: how many messages there are.
 
     Raises:
         PluginError: there is no bag, it cannot be read, or the library that reads it is not installed.
@@ -84,11 +82,9 @@ class RecordedBag:
         self.path = bag_at(path)
         _check_merged(self.path)
         with _told_as_broken(self.path), ExitStack() as undoing:
-            self._bag = OpenedBag(self.path)
-            undoing.callback(self._bag.close)
-            self.encoding = self._bag.encoding
-            self._codec = MessageCodec(self._bag.store, signed_bytes=self.encoding is Encoding.ROS1)
-            self.count, self.begin_ns, self.end_ns = self._bag.count, self._bag.begin_ns, self._bag.end_ns
+            super().__init__(self.path)
+            undoing.callback(self.close)
+            self._codec = MessageCodec(self.store, signed_bytes=self.encoding is Encoding.ROS1)
             self.topics: Mapping[str, RecordedTopic] = {each.name: each for each in self._described()}
             undoing.pop_all()
 
@@ -112,10 +108,6 @@ class RecordedBag:
         if not (self.path.is_file() and (folder / _METADATA).is_file()):
             return 0
         return sum(each.suffix == self.path.suffix for each in folder.iterdir())
-
-    def close(self) -> None:
-        """Close the file; closing twice does nothing."""
-        self._bag.close()
 
     def chosen(self, names: Sequence[str] | None) -> list[RecordedTopic]:
         """Return the topics of these names, all that have messages where none are named.
@@ -157,25 +149,25 @@ class RecordedBag:
             PluginError: the bag breaks off, or a message does not follow its definition.
         """
         names = {topic.name for topic in topics}
-        connections = [each for each in self._bag.connections if each.topic in names]
+        connections = [each for each in self.connections if each.topic in names]
         is_other = encoding is not self.encoding
         with _told_as_broken(self.path):
-            for connection, stamp, data in self._bag.messages(connections):
+            for connection, stamp, data in self.raw_messages(connections):
                 message = self._decoded(connection.msgtype, data)
                 yield RecordedMessage(stamp, connection.topic, _without_numbers(message) if is_other else message)
 
     def stamps(self) -> Iterator[tuple[str, int]]:
         """Yield topic and time, ns since the epoch, of each message, as they were recorded; raises as `messages`."""
         with _told_as_broken(self.path):
-            for connection, stamp, _ in self._bag.messages(self._bag.connections):
+            for connection, stamp, _ in self.raw_messages(self.connections):
                 yield connection.topic, stamp
 
     def _decoded(self, message_type: str, data: bytes) -> dict[str, Any]:
-        return self._codec.as_mapping(message_type, self._bag.deserialised(message_type, data))
+        return self._codec.as_mapping(message_type, self.deserialised(message_type, data))
 
     def _described(self) -> Iterator[RecordedTopic]:
         found: dict[str, list[Any]] = {}
-        for connection in self._bag.connections:
+        for connection in self.connections:
             found.setdefault(connection.topic, []).append(connection)
         for name, connections in found.items():
             types = sorted({plain_type(each.msgtype) for each in connections})
@@ -189,12 +181,12 @@ class RecordedBag:
         """Say why the first message of a topic cannot be read; nothing where it can."""
         first = connections[0]
         message_type = plain_type(first.msgtype)
-        if fault := self._bag.faults.get(first.msgtype):
+        if fault := self.faults.get(first.msgtype):
             return f"the bag's definition of {message_type}, the type of {first.topic}, {fault}"
-        if first.msgtype not in self._bag.store.fielddefs:
-            return f"nobody knows the type {message_type} of {first.topic}: the bag holds no definition"
+        if first.msgtype not in self.store.fielddefs:
+            return f"the type {message_type} of {first.topic} is not known: the bag holds no definition"
         try:
-            for connection, _, data in self._bag.messages(connections):
+            for connection, _, data in self.raw_messages(connections):
                 self._decoded(connection.msgtype, data)
                 return ""
         except Exception as error:  # noqa: BLE001  # as in `_told_as_broken`

@@ -14,12 +14,13 @@ from robot_runner.core.links.connect import connect_robot, is_simulated
 from robot_runner.core.links.robot import Encoding, RobotLink
 from robot_runner.core.plugin import Circumstances, Plugin, System
 from robot_runner.core.words import enumerated
+from robot_runner.measuring.parameter_checks import check_numbers, no_robot
 from robot_runner.ros.kept_settings import KeptSettings, Settings, left_settings
 from robot_runner.ros.link_faults import as_link_error
 from robot_runner.ros.node_services import NodeNotReadyError, full_node
 from robot_runner.ros.parameter_access import all_at_once
 from robot_runner.ros.parameter_values import ParameterValue, kind_of, same_value, to_json
-from robot_runner.ros.robot_system import OfTheRobot, check_numbers
+from robot_runner.ros.robot_system import OfTheRobot
 
 _log = logging.getLogger(__name__)
 
@@ -87,10 +88,7 @@ class RestoredSettings(OfTheRobot, System):
         """Yield findings: there is no robot, or killed runs have left its settings changed."""
         where = f"plugin {self.name}"
         if circumstances.robot is None:
-            problem = f"the plugin sets {self.kind} of a robot's nodes, and the experiment names none"
-            yield Finding.error(
-                where, problem, "Name one in the config: robot = 'simulated'. Or: --set robot=simulated."
-            )
+            yield no_robot(self.name, f"sets {self.kind} of a robot's nodes")
             return
         for kept in left_settings(self.kind, circumstances.robot):
             yield Finding.warning(where, _left(kept), "They are put back before the first run.")
@@ -178,7 +176,7 @@ class RestoredSettings(OfTheRobot, System):
                 yield from self._restore_node(link, kept, node, before, context)
             except NodeNotReadyError:
                 yield f"{node} is gone, so that its {self.kind} are not put back", "Nothing, if it was to end."
-            except Exception as error:  # noqa: BLE001 - of whichever kind: the other nodes are put back, and it is told
+            except Exception as error:  # noqa: BLE001 - any failure: it is reported, and the other nodes are restored
                 _log.warning("%s of %s are not put back", self.kind, node, exc_info=error)
                 errors.append(as_link_error(error, where=node))
         all_at_once(errors, where=self.name)

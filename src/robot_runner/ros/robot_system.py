@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import importlib.util
 import json
-import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import ClassVar, Protocol, TypeVar, runtime_checkable
 
@@ -17,6 +16,7 @@ from robot_runner.core.links.graph_names import GraphNeed, GraphPart, full_name,
 from robot_runner.core.links.robot import Message, Qos, RobotLink
 from robot_runner.core.links.robot_name import RobotName
 from robot_runner.core.plugin import Circumstances, System
+from robot_runner.measuring.parameter_checks import no_robot
 from robot_runner.ros.shapes import completed, plain_type
 
 _Kept = TypeVar("_Kept")
@@ -24,26 +24,6 @@ _Kept = TypeVar("_Kept")
 _LOOK_AT_SUBSCRIBER = (
     "Look at the log of its node: it may have another version of the type, or cannot reach this machine."
 )
-
-
-def check_numbers(where: str, *, may_be_zero: bool = False, **parameters: object) -> None:
-    """Check that parameters are finite numbers above 0, or not below it.
-
-    Raises:
-        PluginError: one is not.
-
-    Example:
-        >>> check_numbers("Waypoints", speed=0.2, timeout_s=5)
-        >>> check_numbers("Waypoints", speed="0.2")
-        Traceback (most recent call last):
-            ...
-        robot_runner.core.errors.PluginError: Waypoints: speed is '0.2' → Give a number above 0.
-    """
-    for name, value in parameters.items():
-        number = value if isinstance(value, int | float) and not isinstance(value, bool) else -1
-        if not 0 <= number < math.inf or (number == 0 and not may_be_zero):
-            fix = "Give a number from 0 up." if may_be_zero else "Give a number above 0."
-            raise PluginError(f"{name} is {value!r}", where=where, fix=fix)
 
 
 def check_standard_message(name: str, type_name: str, message: Message, *, is_goal: bool = False) -> None:
@@ -100,7 +80,7 @@ class RobotSystem(OfTheRobot, System):
     namespace: str = ""
 
     def stand_by(self, context: RobotRunnerContext) -> None:
-        """Join the graph, so that `make_safe` is heard at once."""
+        """Join the graph, so that the command of `make_safe` arrives at once."""
         join_beforehand(context, namespace=self.namespace)
 
     def check(self, circumstances: Circumstances) -> Iterable[Finding]:
@@ -114,11 +94,7 @@ class RobotSystem(OfTheRobot, System):
                 if importlib.util.find_spec("rosbags") is not None:
                     yield from misfits(check_standard_message, need, f"plugin {self.name}")
         if circumstances.robot is None:
-            yield Finding.error(
-                f"plugin {self.name}",
-                f"the plugin {self.does}, and the experiment names none",
-                f"Name it in the config: robot = '{self.for_example}'. Or: --set robot={self.for_example}.",
-            )
+            yield no_robot(self.name, self.does, for_example=self.for_example)
 
     def doubt_unreached(
         self, context: RobotRunnerContext, link: RobotLink, topics: Iterable[tuple[str, str, Qos]]
@@ -128,13 +104,13 @@ class RobotSystem(OfTheRobot, System):
         Args:
             context: of the run.
             link: over which the mission has published.
-            topics: name, type and QoS of each; the first one with such a subscriber is told.
+            topics: name, type and QoS of each; the first one with such a subscriber is reported.
         """
         for topic, message_type, qos in topics:
             try:
                 await_subscribers(link, topic, message_type, qos=qos)
             except LinkError as error:
-                problem = f"who subscribes {topic!r} may have missed messages of the mission: {error.problem}"
+                problem = f"a subscriber of {topic!r} may have missed messages of the mission: {error.problem}"
                 context.doubt(problem, fix=_LOOK_AT_SUBSCRIBER)
                 return
 

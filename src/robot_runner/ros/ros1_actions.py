@@ -13,7 +13,7 @@ import time
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from robot_runner.core.errors import GoalRejectedError, LinkError
 from robot_runner.core.links.goals import ActionResult, GoalStatus
@@ -119,6 +119,7 @@ class Ros1Actions:
 
 
 class _Client:
+    cancels_at_once: ClassVar[bool] = False
     _numbers = itertools.count(1)
 
     def __init__(self, transport: Transport, action: str, action_type: str) -> None:
@@ -178,8 +179,8 @@ class _Client:
         self._cancel.flush(timeout)
 
     def is_served(self) -> bool:
-        # A killed server stays registered at the master, but is silent; and of one that is heard, a master that hangs
-        # need not be asked: it would keep a request to cancel waiting.
+        # A killed server stays registered at the master, but is silent. For one that still publishes, the master
+        # is not asked: a master that hangs would delay a request to cancel.
         silence = time.monotonic() - self._heard_at
         return silence < _HEARD or (
             silence < _SILENCE and bool(list(self._transport.publishers(self._action + _STATUS)))

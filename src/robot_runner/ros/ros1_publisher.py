@@ -1,4 +1,4 @@
-"""A publisher of rospy: configured before it is registered, and able to tell whether its messages were sent."""
+"""A publisher of rospy: configured before it is registered, which knows whether its messages were sent."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _logger = logging.getLogger(__name__)
 CONNECTING = 2.0
 #: The timeout for sending the last message before a publisher is closed, s.
 _CLOSING_SECONDS = 0.5
-#: How long to wait for a message to be sent where rospy does not tell whether it was, s.
+#: How long to wait for a message to be sent where rospy does not report it, s.
 _UNTOLD_SECONDS = 0.2
 #: For how long after connecting a subscriber may reconnect, s. A node of rospy does so when the master announces a
 #: publisher twice, as when one begins and another is killed, and loses the messages that it has not read by then.
@@ -212,7 +212,7 @@ def _is_idle(connection: Any) -> bool | None:
     too. It is not known without a queue, as of a config's own publisher, or in another version of rospy.
     """
     try:
-        waiters = connection._cond_data_available._waiters  # noqa: SLF001 - rospy tells it nowhere else
+        waiters = connection._cond_data_available._waiters  # noqa: SLF001 - no public function of rospy returns it
         with connection._lock:  # noqa: SLF001 - as above
             is_sent = bool(connection.done or (not connection._queue and waiters))  # noqa: SLF001 - as above
     except (AttributeError, TypeError):
@@ -221,7 +221,7 @@ def _is_idle(connection: Any) -> bool | None:
 
 
 def _is_unacknowledged(connection: Any) -> bool:
-    """Return whether the system keeps something that the other machine has not acknowledged; False if it does not tell.
+    """Return whether the system keeps something that the other machine has not acknowledged; False if not known.
 
     Source: tcp(7), SIOCOUTQ.
     """

@@ -68,7 +68,7 @@ class _Connection:
 
 
 def call_service(name: str, uri: str, cls: Any, request: Any, *, timeout: float) -> Any:
-    """Call a service of a class of types, at the URI that the master tells, and return its response.
+    """Call a service of a class of types, at the URI from the master, and return its response.
 
     Raises:
         LinkError: it cannot be reached, has another type, refuses, or does not answer in time.
@@ -117,13 +117,9 @@ def _connected(name: str, uri: str, timeout: float) -> Iterator[_Connection]:
 
 def _greet(connection: _Connection, fields: Mapping[str, str]) -> dict[str, str]:
     """Send the connection header and return that of the other side."""
-    header = {"callerid": _CALLER, **fields}
-    connection.send(b"".join(_field(f"{name}={value}".encode()) for name, value in header.items()))
+    header = [f"{name}={value}".encode() for name, value in {"callerid": _CALLER, **fields}.items()]
+    connection.send(b"".join(_LENGTH.pack(len(field)) + field for field in header))
     return _fields(connection.block())
-
-
-def _field(data: bytes) -> bytes:
-    return _LENGTH.pack(len(data)) + data
 
 
 def _fields(data: bytes) -> dict[str, str]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 import threading
-import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import replace
@@ -23,6 +22,7 @@ from robot_runner.ros.graph_transport import (
     check_type,
     nobody_publishes,
     silent_publishers,
+    until,
 )
 from robot_runner.ros.ros1_actions import Ros1Actions
 from robot_runner.ros.ros1_node import completed_first, join_graph, offers_to_us, pid_in_name, within
@@ -72,14 +72,14 @@ class Ros1Transport:
     ) -> _Subscription:
         """Call `receive` with each message, in a thread of rospy; in ROS 1 only publishers choose a QoS.
 
-        It returns once the publishers that are there already are connected: what they publish next is received. Who
-        takes bytes, to measure or record them, gets each message before the other callbacks, which may take long.
+        It returns once the publishers that are there already are connected: what they publish next is received. Bytes,
+        which are measured or recorded, and prompt callbacks get each message before the others, which may take long.
         """
         del qos  # each topic has a thread for each of its publishers
         self._check_type(topic, message_type, publishers_only=True)
         publishers = [each.node for each in self.publishers(topic)]
         subscription = _Subscription(self, topic, message_class(message_type), receive)
-        if lane is Lane.BYTES:
+        if lane in {Lane.PROMPT, Lane.BYTES}:
             subscription.come_first()
         try:
             subscription.connect(publishers)
@@ -159,8 +159,8 @@ class Ros1Transport:
     def _is_there(self, node: str, *, is_alone: bool, may_be_silent: bool) -> bool:
         """Whether a node answers: a killed node stays registered at the master.
 
-        One of ours is taken away then. Otherwise each run that is killed would leave one more, of which the master
-        tells the robot, and which the robot tries to reach, whenever somebody new publishes. The only one of a topic
+        One of ours is unregistered then. Otherwise each run that is killed would leave one more, which the master
+        reports to the robot, and which the robot tries to reach, at each new publisher. The only one of a topic
         is there until it was taken away. With `may_be_silent`, so is one that does not answer, unless its machine
         refuses the connection: a robot that is out of reach has not gone, even if others subscribe to its commands.
         """
@@ -170,7 +170,7 @@ class Ros1Transport:
         try:
             # The stop of a robot asks repeatedly, and must not take long: a later answer counts as none.
             answered = self._master.pid_of(node, timeout=_PROBING_SECONDS if may_be_silent else None)
-            is_gone = began is not None and answered not in {None, began}  # its address is somebody else's by now
+            is_gone = began is not None and answered not in {None, began}  # another process has its address by now
         except LinkError as error:
             is_refused = isinstance(error.__cause__, ConnectionRefusedError)
             answered, is_gone = None, began is not None and is_refused
@@ -262,12 +262,6 @@ def _connect_once(subscriber: Any) -> None:
     subscriber.add_connection = add_first
 
 
-def _until(claim: Callable[[], bool], seconds: float) -> None:
-    deadline = time.monotonic() + seconds
-    while not claim() and time.monotonic() < deadline:
-        time.sleep(POLL)
-
-
 class _Subscription:
     """Receives one topic as bytes, and drops messages of another type than the requested one."""
 
@@ -286,9 +280,9 @@ class _Subscription:
 
     def connect(self, publishers: Sequence[str]) -> None:
         """Wait until these nodes send to us, or the timeout has passed."""
-        _until(lambda: self._subscriber.get_num_connections() >= len(publishers), CONNECTING)
+        until(lambda: self._subscriber.get_num_connections() >= len(publishers), CONNECTING, every=POLL)
         # Our side is connected; a publisher begins to send a little later, and not every one reports that.
-        _until(lambda: self._transport.is_served(self._topic, publishers), _TELLING_SECONDS)
+        until(lambda: self._transport.is_served(self._topic, publishers), _TELLING_SECONDS, every=POLL)
 
     def come_first(self) -> None:
         """Get each message before the other subscriptions of the topic: rospy calls all of them one after the other."""

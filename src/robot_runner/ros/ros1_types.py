@@ -6,7 +6,7 @@ import re
 import shutil
 import sys
 import threading
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from functools import lru_cache, partial
 from importlib import import_module
@@ -138,11 +138,7 @@ def _conversion(field: Field) -> Callable[[Any], Any] | None:
         convert = partial(_stamp, getattr(import_module("genpy"), _STAMPS[kind]))
     else:
         return None
-    return convert if field.count is None else partial(_each, convert)
-
-
-def _each(convert: Callable[[Any], Any], values: Iterable[Any]) -> list[Any]:
-    return [convert(value) for value in values]
+    return convert if field.count is None else lambda values: [convert(value) for value in values]
 
 
 def _stamp(cls: Any, value: Mapping[str, int]) -> Any:

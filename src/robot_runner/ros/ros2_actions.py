@@ -12,7 +12,7 @@ import uuid
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from robot_runner.core.errors import GoalRejectedError, LinkError
 from robot_runner.core.links.goals import ActionResult, GoalStatus
@@ -97,6 +97,8 @@ class Ros2Actions:
 
 
 class _Client:
+    cancels_at_once: ClassVar[bool] = False
+
     def __init__(self, transport: Transport, graph: Ros2Actions, action: str, action_type: str) -> None:
         self._transport = transport
         self._graph = graph

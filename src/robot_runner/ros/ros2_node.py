@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import math
 import os
 import queue
 import threading
@@ -20,8 +19,8 @@ from rclpy.qos import DurabilityPolicy, LivelinessPolicy, ReliabilityPolicy
 from robot_runner.core.errors import LinkError
 from robot_runner.core.events.early_end import raised_in_thread
 from robot_runner.core.links.robot import GraphEndpoint
-from robot_runner.ros.graph_transport import Lane
-from robot_runner.ros.qos_policies import Policies
+from robot_runner.ros.graph_transport import Lane, until
+from robot_runner.ros.qos_policies import Policies, seconds_of
 from robot_runner.ros.shapes import plain_type
 
 _logger = logging.getLogger(__name__)
@@ -35,13 +34,9 @@ _SPIN = 0.2
 _JOIN = 5.0
 #: The number of threads that answer requests: a request for the result of a goal takes one until the goal is over.
 _ANSWERING = 32
-#: How often the graph is polled while waiting for something, s.
-_POLL = 0.02
 
 #: How much may wait for the callbacks of a lane, messages and bytes.
 _MOST_WAITING, _MOST_WAITING_BYTES = 20_000, 1 << 30
-#: Durations that the middleware means by infinite begin below this, ns: Fast DDS' has 2^31 - 1 s.
-_FOR_EVER_NS = (2**31 - 1) * 10**9
 
 _lock = threading.Lock()
 _shared: dict[tuple[int, int | None, bool], GraphNode] = {}
@@ -125,18 +120,9 @@ class GraphNode:
         """
         self._callers[lane].put(todo, size)
 
-    def until(self, claim: Callable[[], object], seconds: float) -> bool:
-        """Wait at most `seconds` until something holds on the graph; return whether it does."""
-        deadline = time.monotonic() + seconds
-        while not claim():
-            if time.monotonic() >= deadline:
-                return False
-            time.sleep(_POLL)
-        return True
-
     def settle(self, claim: Callable[[], object] = lambda: False, seconds: float = SETTLING) -> None:
         """Wait until something holds, or the graph was joined so many seconds ago."""
-        self.until(claim, self._joined + seconds - time.monotonic())
+        until(claim, self._joined + seconds - time.monotonic())
 
     def leave(self) -> None:
         """Release the node; the last user ends it."""
@@ -316,12 +302,7 @@ def policies_of(profile: Any) -> Policies:
     return Policies(
         is_reliable=profile.reliability != ReliabilityPolicy.BEST_EFFORT,
         is_kept=profile.durability == DurabilityPolicy.TRANSIENT_LOCAL,
-        deadline=_seconds(profile.deadline),
-        lease=_seconds(profile.liveliness_lease_duration),
+        deadline=seconds_of(profile.deadline.nanoseconds),
+        lease=seconds_of(profile.liveliness_lease_duration.nanoseconds),
         is_manual=profile.liveliness == LivelinessPolicy.MANUAL_BY_TOPIC,
     )
-
-
-def _seconds(duration: Any) -> float:
-    """Return a duration in s; what is 0 or about as long as can be means none."""
-    return duration.nanoseconds / 1e9 if 0 < duration.nanoseconds < _FOR_EVER_NS else math.inf

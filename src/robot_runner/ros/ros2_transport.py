@@ -29,6 +29,7 @@ from robot_runner.ros.graph_transport import (
     nobody_publishes,
     service_timeout,
     silent_publishers,
+    until,
     wrong_service_type,
 )
 from robot_runner.ros.qos_policies import WEAKEST, Policies, adapted, asked_by, offered_by, reachable, unmet_demand
@@ -47,7 +48,7 @@ _logger = logging.getLogger(__name__)
 #: How long after joining the graph the publishers and subscribers of a topic are known, s: Fast DDS discovers a process
 #: within 3.2 s (see LONGEST_DISCOVERY), and its topics right afterwards.
 _FINDING = 4.0
-#: How long to wait for a message to be sent where the middleware does not tell whether it was, s.
+#: How long to wait for a message to be sent where the middleware does not report it, s.
 _UNTOLD = 0.2
 #: How long a publisher or subscription of this process may take to be listed, s, and the hash of an unknown version.
 _FINDING_OWN, _UNKNOWN = 1.0, "INVALID"
@@ -123,7 +124,7 @@ class Ros2Transport:
         host = self._node.services()
         offered = host.create_service(cls, service, respond, callback_group=ReentrantCallbackGroup())
         offer.callback(host.destroy_service, offered)
-        self._node.until(lambda: self._graph.service_type(service), LONGEST_DISCOVERY)
+        until(lambda: self._graph.service_type(service), LONGEST_DISCOVERY)
         return offer
 
     def publishers(self, topic: str) -> Iterable[GraphEndpoint]:
@@ -168,7 +169,7 @@ class _Publisher:
     def reach(self) -> bool:
         is_matched = self._is_matched()
         unmet = self._unmet()
-        if unmet is not None and not self._node.until(lambda: self._unmet() is None, _MATCHING):  # some adapt
+        if unmet is not None and not until(lambda: self._unmet() is None, _MATCHING):  # some adapt
             raise unmet
         # A subscriber that is cut off stays matched for seconds, and acknowledges nothing.
         # Once it counts as gone, no acknowledgement is missing any more.
@@ -178,7 +179,7 @@ class _Publisher:
 
     def _is_matched(self) -> bool:
         wanted = reachable(self._demands(), self._offered)
-        return self._node.until(lambda: self._publisher.get_subscription_count() >= wanted, _MATCHING)
+        return until(lambda: self._publisher.get_subscription_count() >= wanted, _MATCHING)
 
     def _demands(self, *, but_of: str | None = None) -> list[Policies]:
         there = self._graph.subscriptions(self._topic)
@@ -201,10 +202,10 @@ class _Publisher:
                 raise LinkError(f"a subscriber does not take it within {seconds:g} s", where=self._topic, fix=fix)
 
     def _is_taken(self, seconds: float) -> bool | None:
-        """Whether all messages are acknowledged within that time; None where the middleware does not tell."""
+        """Whether all messages are acknowledged within that time; None where the middleware does not report it."""
         try:
             return bool(self._publisher.wait_for_all_acked(Duration(seconds=seconds)))
-        except Exception as error:  # noqa: BLE001 - not every middleware can tell: what was published may well arrive
+        except Exception as error:  # noqa: BLE001 - not every middleware reports it: what was published may well arrive
             _logger.info("%s: it is not known whether it was taken: %s", self._topic, error)
             return None
 
@@ -317,7 +318,7 @@ class _Client:
         return as_mapping(future.result())
 
     def _find(self, seconds: float) -> None:
-        if self._node.until(self._client.service_is_ready, seconds):
+        if until(self._client.service_is_ready, seconds):
             return
         self._check_type()
         fix = "Start the node that offers it."
@@ -337,7 +338,7 @@ def _check_types(topic: str, wanted: str, endpoints: Sequence[Any]) -> None:
 def _check_version(node: GraphNode, graph: Graph, topic: str, message_type: str) -> None:
     """Refuse a topic of which this node has an endpoint, and another one has another version of the type.
 
-    ROS 2 connects them, and values would be taken for others of the same bytes. Before Iron, nothing tells versions.
+    ROS 2 connects them, and values would be taken for others of the same bytes. Before Iron, versions are not known.
     """
 
     def told(*, own: bool) -> dict[str, str]:
@@ -352,7 +353,7 @@ def _check_version(node: GraphNode, graph: Graph, topic: str, message_type: str)
     others = told(own=False)
     if not others or is_action_part(message_type):
         return
-    node.until(lambda: told(own=True), _FINDING_OWN)
+    until(lambda: told(own=True), _FINDING_OWN)
     ours = told(own=True)
     for owner in (owner for digest, owner in others.items() if ours and digest not in ours):
         problem = f"{owner} has another version of {message_type} than the one that is known here"

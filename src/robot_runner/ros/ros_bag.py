@@ -18,10 +18,10 @@ from robot_runner.core.links.robot import RobotLink
 from robot_runner.core.links.ssh_command import ssh_findings
 from robot_runner.core.plugin import Circumstances
 from robot_runner.measuring.evaluation import note_own_window, publish_measures
+from robot_runner.measuring.parameter_checks import check_numbers
 from robot_runner.ros.bag_file import LinkRecorder, began_late, messages_in
 from robot_runner.ros.bag_recorder import PROGRAMS, BagProgram, await_subscriptions, subscriptions_of
 from robot_runner.ros.graph_addresses import is_of_environment
-from robot_runner.ros.robot_system import check_numbers
 from robot_runner.ros.topic_statistics import TopicProfiler, TypedTopic, robot_findings, topic_label
 
 _FIX = "Look at the bag before you use this run."

@@ -187,7 +187,7 @@ _GRAPH_SECONDS = 8.0
 _LOOK_AT_GRAPH = """
 import sys, time
 from robot_runner.core.events.context import SystemClock
-from robot_runner.ros.dds_link import open_dds_link
+from robot_runner.ros.link_opening import open_dds_link
 link = open_dds_link({}, SystemClock())
 deadline = time.monotonic() + 2.0
 while not (found := set(link.topics()) - {"/rosout", "/parameter_events"}) and time.monotonic() < deadline:
@@ -229,7 +229,7 @@ def _sourced() -> FoundRobot | None:
 def _master() -> FoundRobot | None:
     if not _is_installed("rospy"):
         return None
-    from robot_runner.ros.ros1_master import Master  # noqa: PLC0415 - HTTP and XML-RPC, for who asks a master
+    from robot_runner.ros.ros1_master import Master  # noqa: PLC0415 - loads HTTP and XML-RPC, which only a master needs
 
     try:
         master = Master(timeout=_MASTER_SECONDS)

@@ -18,8 +18,9 @@ from robot_runner.core.links.graph_names import full_name
 from robot_runner.core.links.robot import AsksNodes
 from robot_runner.core.links.robot_name import RobotName
 from robot_runner.core.plugin import Circumstances, Profiler
+from robot_runner.core.words import enumerated
 from robot_runner.measuring.devices import connect_host
-from robot_runner.measuring.evaluation import publish_measures
+from robot_runner.measuring.evaluation import NEVER_STARTED, publish_measures
 from robot_runner.measuring.host import (
     HostLink,
     ProcessHost,
@@ -30,10 +31,10 @@ from robot_runner.measuring.host import (
     report_of,
 )
 from robot_runner.measuring.measured_machine import host_findings, machine_clock
+from robot_runner.measuring.parameter_checks import check_numbers
 from robot_runner.measuring.utilisation import Doubt, Selection, Utilisation, means_over
 from robot_runner.ros.graph_transport import is_hidden
-from robot_runner.ros.robot_system import check_numbers
-from robot_runner.ros.ros1_link import master_of
+from robot_runner.ros.link_opening import master_of
 from robot_runner.ros.topic_statistics import robot_findings
 
 _FIX = "Look at the graph, with `ros2 node list` or `rosnode list`, before you use this run."
@@ -141,16 +142,22 @@ class RosGraph(Profiler):
         """Read the graph, and begin to sample the processes of its nodes."""
         graph = self._look(context)
         if self.nodes:
-            for node, label in zip(self.nodes, self.selection.labels, strict=True):
-                if (full := self._full_name(node, context)) not in graph["nodes"]:
-                    doubted = (f"CPU_{label}", f"Memory_{label}")
+            processes = self._processes(context, graph["nodes"])
+            for node, label, process in zip(self.nodes, self.selection.labels, processes, strict=True):
+                full, doubted = self._full_name(node, context), (f"CPU_{label}", f"Memory_{label}")
+                if full not in graph["nodes"]:
                     context.doubt(f"node {full} is not on the graph", fix=_FIX, measures=doubted)
+                # The command line of a node that is in no namespace tells nothing of that.
+                alike = [each for each in graph["nodes"] if each != full and each.endswith(full)]
+                if alike and process == f"node:{full}" and full.count("/") == 1:
+                    problem = f"{full} cannot be told from {enumerated(alike)}: its CPU and memory are those of all"
+                    context.doubt(problem, fix=f"Name its program: nodes={{{full!r}: ...}}.", measures=doubted)
             computer = self._computer(context)
             if not isinstance(computer, ProcessHost):
                 fix = "Name the computer that the nodes run on in `host`."
                 raise LinkError("this computer does not tell of single processes", where=self.name, fix=fix)
             self._begun_at = machine_clock(context).now()
-            self._sampler = computer.sample_processes(self.rate_hz, self._processes(context, graph["nodes"]))
+            self._sampler = computer.sample_processes(self.rate_hz, processes)
             if isinstance(self._sampler, PromptSampler):
                 context.times.at_edges(self._sampler.take_now)
         self._graphs["start"] = graph
@@ -161,6 +168,8 @@ class RosGraph(Profiler):
         if sampler is not None:
             samples, sampled = sampler.stop(), Window(self._begun_at, machine_clock(context).now())
             report = report_of(sampler, self.rate_hz)
+            if report.clock_facts is not None:
+                context.note_clock(report.clock_facts)
             self._utilisation = Utilisation(samples, sampled, self.selection, report, is_simulated=False)
         if self._graphs:
             self._graphs["stop"] = self._look(context)
@@ -180,7 +189,7 @@ class RosGraph(Profiler):
         """Publish the measures; no value for a node whose process was not seen."""
         graph = self._graphs.get("stop")
         if graph is None:
-            context.doubt("nothing was measured: the measurement was never started", fix=_FIX)
+            context.doubt(NEVER_STARTED, fix=_FIX)
         origin = Origin.SIMULATED if self._is_simulated else Origin.MEASURED
         context.publish("Nodes", None if graph is None else len(graph["nodes"]), origin=origin)
         shown = None if graph is None else sum(not is_hidden(topic) for topic in graph["topics"])

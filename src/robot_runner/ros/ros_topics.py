@@ -12,10 +12,10 @@ from robot_runner.core.events.measure import Measure, Origin, Over
 from robot_runner.core.events.window import Window
 from robot_runner.core.execution.clock_jumps import ClockJumps, told_setting
 from robot_runner.core.links.robot import RawMessage, RobotLink, Subscription
-from robot_runner.measuring.evaluation import publish_measures
+from robot_runner.measuring.evaluation import NEVER_STARTED, publish_measures
 from robot_runner.measuring.live_samples import LiveSamples
+from robot_runner.measuring.parameter_checks import check_numbers
 from robot_runner.measuring.quality import Column, write_quality, write_samples
-from robot_runner.ros.robot_system import check_numbers
 from robot_runner.ros.topic_statistics import DROPPED, HeaderReader, ReceivedTopic, TopicProfiler, topic_label
 
 _FIX = "Look at the topic, with `ros2 topic hz` or `rostopic hz`, before you use this run."
@@ -88,9 +88,7 @@ class RosTopics(TopicProfiler):
         link, found = self.link(context), self.found(self.topics, context)
         for topic, typed in found.items():
             if typed is None:
-                self._received[
-                    topic
-                ].problem = f"the topic is not published within {self.patience:g} s of the run's start"
+                self._received[topic].problem = self.unpublished
             else:
                 self._subscribe(link, topic, typed.message_type, context)
 
@@ -123,7 +121,7 @@ class RosTopics(TopicProfiler):
         """Publish the measures; no value for a topic without messages."""
         window = context.window
         if self._sampled is None or window is None:
-            context.doubt("nothing was measured: the measurement was never started", fix=_FIX)
+            context.doubt(NEVER_STARTED, fix=_FIX)
         else:
             self._report(context, window)
         origin = Origin.SIMULATED if self._is_simulated else Origin.MEASURED

@@ -15,13 +15,13 @@ from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from robot_runner.core.errors import GoalRejectedError, LinkError
 from robot_runner.core.links.goals import ActionResult, GoalStatus
 from robot_runner.core.links.robot import Message, Qos, Subscription
 from robot_runner.ros.action_calls import await_action
-from robot_runner.ros.graph_transport import Lane, Reception, Transport, already_offered
+from robot_runner.ros.graph_transport import Lane, Reception, Transport, already_offered, until
 from robot_runner.ros.ros2_actions import GOAL_NUMBERS, GOAL_STATES, STATUS_TOPIC, STATUS_TYPE, ros2_action_types
 from robot_runner.ros.rosbridge_frames import from_protocol, to_protocol
 from robot_runner.ros.rosbridge_session import Session
@@ -67,7 +67,7 @@ class RosbridgeActions:
         return ros2_action_types(self.transport.types, action_type)
 
     def actions(self) -> dict[str, str]:
-        """Return the type of each action that is offered, by full name; `*` where the server is too old to tell it."""
+        """Return the type of each offered action by full name; `*` where the server is too old to report it."""
         names = self._rosapi.action_servers()
         return {name: self._rosapi.action_type(name) or "*" for name in sorted(names)}
 
@@ -97,12 +97,9 @@ class RosbridgeActions:
 
     def wait_for_offer(self, action: str) -> None:
         """Return once an action is on the graph; raise a `LinkError` where the server does not offer it."""
-        deadline = time.monotonic() + _OFFERING
-        while action not in self._rosapi.action_servers():
-            if time.monotonic() > deadline:
-                problem = f"the rosbridge server does not offer the action within {_OFFERING:g} s"
-                raise LinkError(problem, where=action, fix=f"{_REMEDY} The package of its type must be there, too.")
-            time.sleep(_POLL)
+        if not until(lambda: self.is_served(action), _OFFERING, every=_POLL):
+            problem = f"the rosbridge server does not offer the action within {_OFFERING:g} s"
+            raise LinkError(problem, where=action, fix=f"{_REMEDY} The package of its type must be there, too.")
 
     def cancel_requests(self) -> list[dict[str, Any]]:
         """Return the operations that cancel all goals that are not over."""
@@ -119,6 +116,8 @@ class RosbridgeActions:
 
 
 class _Client:
+    cancels_at_once: ClassVar[bool] = True
+
     def __init__(self, graph: RosbridgeActions, action: str, action_type: str, types: ActionTypes) -> None:
         self._graph = graph
         self._action = action
@@ -344,7 +343,7 @@ class _Served:
         self._graph.session.send(operation)
 
     def tell_status(self, executions: Sequence[Execution]) -> None:
-        """Do nothing: the server tells the states."""
+        """Do nothing: the server reports the states."""
 
     def tell_result(self, execution: Execution, result: ActionResult) -> None:
         self._tell_end(execution.key, result)

@@ -311,7 +311,7 @@ def connect(address: RosbridgeAddress, timeout: float, closing: ExitStack, *, wh
         raise _no_rosbridge(error, address, where) from error
 
 
-#: What HTTP servers and proxies answer to who may not enter (RFC 9110).
+#: What HTTP servers and proxies answer without valid credentials (RFC 9110).
 _UNAUTHORISED, _FORBIDDEN = 401, 403
 #: How long a server that does not answer as one may take to show that it speaks TLS, s.
 _TLS_SECONDS = 1.0
@@ -334,7 +334,7 @@ def _no_rosbridge(error: Exception, address: RosbridgeAddress, where: str) -> Li
         return LinkError("the server speaks TLS, and the address is one without", where=where, fix=fix)
     hung_up = any(isinstance(each, send_errors()) for each in (error, error.__cause__, error.__context__))
     if address.security.is_tls and hung_up:
-        # With TLS 1.3 a server sees a client's certificate after the handshake, and hangs up without a word of HTTP.
+        # With TLS 1.3 a server sees a client's certificate after the handshake, and hangs up without an HTTP response.
         given = "and refuses ours" if address.security.cert else "and none is given"
         fix = "Name one that its authority has signed, with its key: ?cert=me.pem&key=me.key."
         problem = f"the server hangs up after the TLS handshake, as one does that asks for a certificate {given}"

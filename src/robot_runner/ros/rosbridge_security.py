@@ -47,7 +47,7 @@ class RosbridgeSecurity:
     What reads files and secrets raises a `LinkError` where one is not where the address says, or cannot be used.
 
     Attributes:
-        is_tls: whether the connection is encrypted, and the server has to prove who it is.
+        is_tls: whether the connection is encrypted, and the server has to prove its identity.
         ca: certificates that are trusted; None for those of the system.
         cert: our own certificate, for servers that ask for one.
         key: the key of it; None where it is in the same file.
@@ -92,7 +92,7 @@ class RosbridgeSecurity:
 
     @property
     def sends_secrets(self) -> bool:
-        """Whether whoever reads the connection would read a password or a token."""
+        """Whether a password or a token is sent over the connection."""
         return bool(self.password or self.token)
 
     def check(self) -> None:
@@ -185,7 +185,7 @@ def _refused(problem: str, fix: str) -> LinkError:
 # The socket: what a server's certificate says is seen before anything of ours is sent.
 
 _T = TypeVar("_T")
-#: How often who waits for the network looks whether another thread has closed the socket, s: no system tells of that.
+#: How often a thread that waits for the network checks whether another one has closed the socket, s: no event tells.
 _LOOK = 0.5
 
 
@@ -254,7 +254,7 @@ class TurnTakingSocket(ssl.SSLSocket):
 def secure_socket(
     host: str, port: int, security: RosbridgeSecurity, timeout: float, sending: float, *, where: str
 ) -> ssl.SSLSocket:
-    """Connect by TLS to a server that has proved who it is.
+    """Connect by TLS to a server that has proved its identity.
 
     Args:
         host: name or number; the certificate has to be of this name.
@@ -266,7 +266,7 @@ def secure_socket(
 
     Raises:
         LinkError: the certificate is not trusted, of another host or out of date, or TLS is not spoken there.
-        OSError: nobody can be reached there.
+        OSError: no server can be reached there.
     """
     deadline = time.monotonic() + timeout
     plain = socket.create_connection((host, port), timeout=timeout)

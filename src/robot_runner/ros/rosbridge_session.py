@@ -76,8 +76,8 @@ class Session:
         on_request: called, in the same thread, with an operation that calls a service that is offered here.
         on_action: called, in the same thread, with an operation about a goal of an action.
         on_lost: called once with the error that the connection is lost.
-        last_words: returns the operations that are sent to a server that no longer answers, before the connection is
-            closed: if only its answers are lost, it receives them.
+        stop_operations: returns what is sent to a server that no longer answers, before the connection is closed: if
+            only its answers are lost, it receives them.
 
     Raises:
         LinkError: it cannot be reached, or is not a rosbridge.
@@ -89,7 +89,7 @@ class Session:
         self.on_request: Callable[[Mapping[str, Any]], None] = lambda _operation: None
         self.on_action: Callable[[Mapping[str, Any]], None] = lambda _operation: None
         self.on_lost: Callable[[LinkError], None] = lambda _error: None
-        self.last_words: Callable[[], Iterable[dict[str, Any]]] = tuple
+        self.stop_operations: Callable[[], Iterable[dict[str, Any]]] = tuple
         self.barrier = barrier or _OWN_SERVICES[-1][1]
         self.generation: int | None = None
         self._numbers = itertools.count(1)
@@ -310,7 +310,7 @@ class Session:
 
         A server that is suspended, or behind a broken network, does not close its connections.
         """
-        with suppress(*send_errors()):  # it is closed: who receives tells why
+        with suppress(*send_errors()):  # it is closed: the receiving thread reports why
             while not self._is_over.wait(_PING_INTERVAL):
                 if not self._is_answered(self._connection.ping()):
                     self._give_up()
@@ -328,7 +328,7 @@ class Session:
         deliver_late(self._connection)  # the last words
         can_send = self._sending.acquire(timeout=_PING_LOOK)  # else the network takes nothing more
         try:
-            for operation in self.last_words() if can_send and self.is_usable else ():
+            for operation in self.stop_operations() if can_send and self.is_usable else ():
                 self._connection.send(as_json(operation))
         finally:
             self._lose("the robot does not answer any more")

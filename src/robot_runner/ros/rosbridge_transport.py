@@ -39,8 +39,8 @@ if TYPE_CHECKING:
 
 _logger = logging.getLogger(__name__)
 
-#: What several nodes tell together, each with a message that it keeps (`/tf_static`), and how many are given to who
-#: comes late; of all else it is the last.
+#: A type that several nodes latch on one topic (`/tf_static`), and how many of its messages a late receiver gets; of
+#: other types it gets the last one.
 _TOGETHER, _MOST_TOGETHER = "tf2_msgs/TFMessage", 100
 #: So many calls of services that are offered here are answered at a time, each in a thread.
 _MOST_ANSWERING = 64
@@ -89,7 +89,7 @@ class RosbridgeTransport:
         )
         self._session.on_message = self._take_message
         self._session.on_request = self._take_request
-        self._session.last_words = self._stops
+        self._session.stop_operations = self._stops
 
     @property
     def encoding(self) -> Encoding:
@@ -218,9 +218,8 @@ class RosbridgeTransport:
         most = _MOST_TOGETHER if message_type == _TOGETHER else 1
         kept = {form: deque[Reception](maxlen=most) for form in (False, True)}
         topic = Topic(name, message_type, shape, RAW if is_known or is_raw else plain, request_id, kept)
-        topic.join(
-            receive, is_prompt=is_prompt
-        )  # what is kept for those who come late comes before the server has answered
+        # Joins at once: latched messages come before the server has answered.
+        topic.join(receive, is_prompt=is_prompt)
         self._topics[name] = topic
         operation = {"op": "subscribe", "id": request_id, "topic": name, "type": self.types.wire_name(message_type)}
         try:

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import LinkError
 from robot_runner.core.links.robot import Encoding, GraphEndpoint
+from robot_runner.ros.graph_transport import until
 from robot_runner.ros.rosbridge_callers import Callers
 from robot_runner.ros.rosbridge_session import ANSWER, Reply, Session
 from robot_runner.ros.shapes import IDL_KINDS, ROS1_KINDS, STAMPS, UNBOUNDED, Field, Shape, plain_type
@@ -25,15 +26,15 @@ if TYPE_CHECKING:
 
 _logger = logging.getLogger(__name__)
 
-#: How long rosapi, which is a node of its own, may take to see what the server has done, and how often it is asked, s.
-_CONFIRMATION, _LOOK = 2.0, 0.02
+#: How long rosapi, which is a node of its own, may take to see what the server has done, s.
+_CONFIRMATION = 2.0
 
 #: How the name of a rosbridge server's node begins, whatever its generation.
 _SERVER = "rosbridge"
 #: How long rosapi may take, s, for so many seconds after it has left a question unanswered: a robot must not be kept
 #: waiting for it, and one that was only busy is to be believed again.
 _IMPATIENCE, _HANGING = 0.5, 10.0
-#: What a rosapi of ROS 2 tells in place of a definition whose file it does not find.
+#: What a rosapi of ROS 2 returns in place of a definition whose file it does not find.
 _UNTOLD = "# failed to get full definition"
 
 
@@ -55,10 +56,10 @@ class Rosapi:
         self._probes = itertools.count(1)
 
     def version(self, address: RosbridgeAddress) -> tuple[int, str | None]:
-        """Return the generation of the robot's ROS, and its distribution: as its address says, or else as it tells.
+        """Return the generation of the robot's ROS, and its distribution: from its address, or else from rosapi.
 
         Raises:
-            LinkError: nothing there tells, or the server is one of the other generation.
+            LinkError: the generation is not known, or is not that of the address.
         """
         seen = self._session.generation
         if address.generation is not None:
@@ -66,7 +67,7 @@ class Rosapi:
                 problem = f"the robot's address says ROS {address.generation}, and its rosbridge is one of ROS {seen}"
                 raise LinkError(problem, where=self._session.where, fix=f"Say ?ros={seen}, or leave it out.")
             return address.generation, address.distro
-        if seen == 1:  # whose rosapi does not tell it
+        if seen == 1:  # its rosapi does not report the distribution
             return 1, None
         told = self._ask("get_ros_version")
         if told.is_good and isinstance(told.values, dict):
@@ -80,7 +81,7 @@ class Rosapi:
         )
 
     def topics(self) -> dict[str, str]:
-        """Return the type of each topic by its full name; an empty text where it is not told."""
+        """Return the type of each topic by its full name; an empty text where it is not known."""
         values = self.told("topics")
         return {name: plain_type(kind) for name, kind in zip(values["topics"], values["types"], strict=True)}
 
@@ -109,11 +110,11 @@ class Rosapi:
         return [GraphEndpoint(name, known, name in servers, is_shared=name in servers) for name in names]
 
     def topic_type(self, topic: str) -> str | None:
-        """Return the type of a topic, or None where there is none or the graph does not tell."""
+        """Return the type of a topic, or None where there is none or it is not known."""
         return plain_type(_text(self._ask("topic_type", {"topic": topic}), "type")) or None
 
     def service_type(self, service: str) -> str | None:
-        """Return the type of a service, an empty text where there is none, None where the graph does not tell."""
+        """Return the type of a service, an empty text where there is none, None where it is not known."""
         answer = self._ask("service_type", {"service": service})
         return plain_type(_text(answer, "type")) if answer.is_good else None
 
@@ -122,7 +123,7 @@ class Rosapi:
         return list(self.told("action_servers")["action_servers"])
 
     def action_type(self, action: str) -> str:
-        """Return the type of an action; an empty text where this rosapi is too old to tell it."""
+        """Return the type of an action; an empty text where this rosapi is too old to report it."""
         return plain_type(_text(self._ask("action_type", {"action": action}), "type"))
 
     def confirm_publisher(self, topic: str, message_type: str) -> None:
@@ -150,16 +151,13 @@ class Rosapi:
     def _confirm(self, name: str, type_name: str, what: str, is_there: Callable[[], bool]) -> None:
         if not self._ask("get_time").is_good:
             return
-        deadline = time.monotonic() + _CONFIRMATION
-        while not is_there():
-            if time.monotonic() > deadline:
-                package = type_name.partition("/")[0]
-                raise LinkError(
-                    f"the rosbridge server does not take {what} of type {type_name}",
-                    where=name,
-                    fix=f"Install the package {package!r} on the robot, or look at the server's log.",
-                )
-            time.sleep(_LOOK)
+        if not until(is_there, _CONFIRMATION):
+            problem, package = (
+                f"the rosbridge server does not take {what} of type {type_name}",
+                type_name.partition("/")[0],
+            )
+            fix = f"Install the package {package!r} on the robot, or look at the server's log."
+            raise LinkError(problem, where=name, fix=fix)
 
     def has_service_type(self, service_type: str) -> bool:
         """Whether the robot has a service type, as a service shows that the server offers for a moment."""
@@ -220,7 +218,7 @@ def _text(answer: Reply, field: str) -> str:
 class RosapiParameters:
     """A parameter server by `/rosapi/get_param` and the like, which carry values as JSON.
 
-    rosapi can be told which parameters it lets anybody see (`params_glob`); those that it does not are as if not set.
+    A rosapi may be configured to show some parameters only (`params_glob`); the others are as if not set.
     """
 
     def __init__(self, rosapi: Rosapi) -> None:
@@ -268,7 +266,7 @@ class RobotTypes:
         generation: of the robot's ROS, 1 or 2.
 
     Raises:
-        LinkError: the robot does not tell its generation, or a type definition cannot be used.
+        LinkError: the robot's generation is not known, or a type definition cannot be used.
     """
 
     def __init__(self, rosapi: Rosapi, address: RosbridgeAddress) -> None:
@@ -290,7 +288,7 @@ class RobotTypes:
         return name if self.generation == 1 else name.replace("/", f"/{kind}/", 1)
 
     def is_known_here(self, message_type: str) -> bool:
-        """Whether bytes of this type can be read here: the catalogue knows it, or the robot tells its definition."""
+        """Whether bytes of this type can be read here: its definition is in the catalogue, or comes from the robot."""
         try:
             self._catalogue.shape(message_type)
         except LinkError:
@@ -329,7 +327,7 @@ class RobotTypes:
         return self._catalogue.deserialise(message_type, data, self.encoding)
 
     def _is_learnt(self, message_type: str) -> bool:
-        """Whether rosapi tells the text of a definition, as it does of the types of topics that there are."""
+        """Whether rosapi returns the text of a definition, as it does for the types of present topics."""
         text = self._rosapi.raw_definitions().get(plain_type(message_type), "")
         if not text or text.startswith(_UNTOLD):
             return False
@@ -358,9 +356,9 @@ class RobotTypes:
 
 
 def _assembled(name: str, definitions: Sequence[Mapping[str, Any]], generation: int | None) -> Shape:
-    """Return the shape that a type and those that it is made of are told to be; the first is the type itself."""
+    """Return the shape of a type from rosapi's definitions of it (the first) and of the types of its fields."""
     by_name = {plain_type(each["type"]): each for each in definitions}
-    # rosapi tells no defaults.
+    # rosapi reports no defaults.
     defaults, kinds = ({}, ROS1_KINDS) if generation == 1 else (STANDARD_DEFAULTS, IDL_KINDS)
     shapes: dict[str, Shape] = {}
 

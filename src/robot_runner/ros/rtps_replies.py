@@ -38,7 +38,7 @@ _IP_AND_UDP_BYTES = 28
 
 
 class RequestId(NamedTuple):
-    """Which request of whom.
+    """Identifies a request.
 
     Attributes:
         client: GUID of the writer that the request was sent with, 16 bytes.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable
-from typing import Protocol
+from typing import ClassVar, Protocol
 
 from robot_runner.core.errors import LinkError
 from robot_runner.core.links.goals import ActionResult, GoalStatus
@@ -16,13 +16,19 @@ _LOOK = 1.0
 
 
 class ActionClient(Protocol):
-    """One action of a graph, as it is used from here; kept for all goals of a link."""
+    """One action of a graph, as it is used from here; kept for all goals of a link.
+
+    Attributes:
+        cancels_at_once: whether `cancel` returns at once; else it waits in vain for a server that is gone.
+    """
+
+    cancels_at_once: ClassVar[bool]
 
     def send(self, goal: Message, sent: SentGoal, timeout: float) -> None:
         """Send a complete goal, and return once it is accepted; raise a `LinkError` where it is not."""
 
     def cancel(self, sent: SentGoal, timeout: float) -> None:
-        """Ask for the end of a goal; raise a `LinkError` where the server refuses."""
+        """Request the cancelling of a goal; raise a `LinkError` where the server refuses."""
 
     def is_served(self) -> bool:
         """Whether its server is still there."""
@@ -32,9 +38,9 @@ class ActionClient(Protocol):
 
 
 class SentGoal:
-    """A goal that was sent, until it is over. A dialect tells it what it hears; whoever sent it waits for it.
+    """A goal that was sent, until it is over: an action client reports its states and result, its sender waits for it.
 
-    To whoever waits, it is a `Goal` of `core.links.robot`, where it stands what `result` and `cancel` raise.
+    It is a `Goal` of `core.links.robot`, where the exceptions of `result` and `cancel` are documented.
 
     Args:
         action: full name of its action.
@@ -42,8 +48,8 @@ class SentGoal:
         take_feedback: called with the feedback; it deals with what it raises.
 
     Attributes:
-        key: how a dialect knows it.
-        is_abandoned: whether nobody waits for it any more, because it was not accepted in time.
+        key: identifies it in the protocol.
+        is_abandoned: whether its sender no longer waits, because it was not accepted in time.
     """
 
     def __init__(
@@ -105,13 +111,16 @@ class SentGoal:
         """
         if self.is_over or self.client is None:
             return
+        if self.client.cancels_at_once:  # to find out whether its server is there may take long
+            self.client.cancel(self, timeout)
         if not self._is_served(self.client):
             self.lose(self._gone())
             raise self._gone()
-        self.client.cancel(self, timeout)
+        if not self.client.cancels_at_once:
+            self.client.cancel(self, timeout)
 
     def note(self, status: GoalStatus) -> None:
-        """Take what the server says of it; what is over stays over, and one that has begun was accepted before."""
+        """Note its state on the server; a goal that is over stays over, and one that has begun was accepted before."""
         with self._lock:
             is_late = status is GoalStatus.ACCEPTED and self._status is not GoalStatus.UNKNOWN
             if not (self._status.is_over or is_late):
@@ -119,7 +128,7 @@ class SentGoal:
         self._changed.set()
 
     def take_feedback(self, message: Message) -> None:
-        """Hand on feedback, while the goal is not over."""
+        """Pass feedback on while the goal is not over."""
         if not self.is_over:
             self._take_feedback(message)
 
@@ -132,7 +141,7 @@ class SentGoal:
         self._end()
 
     def lose(self, fault: LinkError, *, before_told: Callable[[], object] = lambda: None) -> None:
-        """End the goal without a result, also where one comes now; `before_told` is called before anybody is told."""
+        """End the goal without a result, even if one arrives now; `before_told` is called before its sender returns."""
         with self._lock:
             if self._result is None and self._fault is None:
                 self._fault = fault

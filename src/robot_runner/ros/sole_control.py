@@ -22,7 +22,7 @@ from robot_runner.ros.watchdog import TWIST, planar, velocity_of
 _PERIOD = 1.0
 #: How long our thread may take to end, s: a graph that is lost answers no sooner than its own deadline.
 _PATIENCE = 5.0
-#: How much of a rival's message is told, characters.
+#: How much of a rival's message is reported, characters.
 _SHOWN = 120
 #: The node of our own watchdog commands the robot to stand still when a run has fallen silent.
 _WATCHDOG = "robot_runner_watchdog"
@@ -101,11 +101,11 @@ class SoleControl:
             LinkError: the commands cannot be subscribed.
         """
         told = {each.message_type for each in self._link.subscribers(self._command_topic)}.intersection(self._types)
-        # A graph that does not tell the type carries what we publish.
+        # Where the graph does not know the type, the topic carries the one that we publish.
         for message_type in sorted(told) or [TWIST if TWIST in self._types else next(iter(self._types))]:
-            hear = self._hearer(message_type, tell)
+            take = partial(self._take, message_type, tell)
             self._closing.enter_context(watched(self._command_topic))
-            self._closing.callback(self._link.subscribe(self._command_topic, message_type, hear).close)
+            self._closing.callback(self._link.subscribe(self._command_topic, message_type, take, is_prompt=True).close)
         if self._pose_topic is None:
             self._closing.callback(self._is_over.set)
             return
@@ -118,17 +118,14 @@ class SoleControl:
         """End the watch; ending twice does nothing."""
         self._closing.close()
 
-    def _hearer(self, message_type: str, tell: Callable[[str], object]) -> Callable[[Message], None]:
-        def hear(message: Message) -> None:
-            is_velocity = message_type in TWISTS
-            command = velocity_of(message_type, message) if is_velocity else message
-            if not is_from_here(self._command_topic, command) and not self._is_over.is_set():
-                rivals = _others(self._link.publishers(self._command_topic))
-                who = named(rivals) if rivals else "somebody else"
-                shown = _velocity(command) if is_velocity else shorten(str(command), _SHOWN)
-                self._tell(tell, f"{who} commands the robot on {self._command_topic!r}: {shown}")
-
-        return hear
+    def _take(self, message_type: str, tell: Callable[[str], object], message: Message) -> None:
+        is_velocity = message_type in TWISTS
+        command = velocity_of(message_type, message) if is_velocity else message
+        if not is_from_here(self._command_topic, command) and not self._is_over.is_set():
+            rivals = _others(self._link.publishers(self._command_topic))
+            who = named(rivals) if rivals else "somebody else"
+            shown = _velocity(command) if is_velocity else shorten(str(command), _SHOWN)
+            self._tell(tell, f"{who} commands the robot on {self._command_topic!r}: {shown}")
 
     def _watch(self, tell: Callable[[str], object]) -> None:
         while not self._is_over.wait(_PERIOD):
@@ -184,7 +181,7 @@ def named(endpoints: Iterable[GraphEndpoint]) -> str:
 
 
 def is_told(type_name: str) -> bool:
-    """Whether a graph told a type: a link says `*`, or nothing, of one that it does not know."""
+    """Whether a graph knows a type: a link reports `*`, or nothing, for one that it does not know."""
     return type_name not in {"", "*"}
 
 

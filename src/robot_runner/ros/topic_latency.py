@@ -16,8 +16,8 @@ from robot_runner.core.events.measure import Measure, Origin, Over
 from robot_runner.core.events.window import Window
 from robot_runner.core.links.robot import RawMessage, RobotLink, Subscription
 from robot_runner.measuring.evaluation import publish_measures
+from robot_runner.measuring.parameter_checks import check_numbers
 from robot_runner.measuring.quality import Column, write_quality, write_samples
-from robot_runner.ros.robot_system import check_numbers
 from robot_runner.ros.topic_statistics import HeaderReader, TopicProfiler, TypedTopic, nearest_rank, topic_label
 
 #: How often it is checked whether the last answers have arrived, s.
@@ -121,7 +121,7 @@ class TopicLatency(TopicProfiler):
         link, found = self.link(context), self.found(self.topics, context)
         for topic, typed in found.items():
             if typed is None:
-                self._received[topic].problem = f"it is not published within {self.patience:g} s of the run's start"
+                self._received[topic].problem = self.unpublished
             else:
                 self._subscribe(link, topic, typed, context.clock)
 
@@ -232,7 +232,7 @@ class TopicLatency(TopicProfiler):
         elif (together := sum(latency <= 0 for latency in known)) > _TOGETHER * len(known):
             problem = (
                 f"{together} of {len(known)} answers were received no later than their causes: "
-                "they come sooner than this machine can tell"
+                "this machine cannot resolve the time between them"
             )
             yield topic, problem, "Take load from this machine, or have another process play the bag."
 

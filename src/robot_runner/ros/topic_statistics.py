@@ -19,6 +19,7 @@ from robot_runner.core.links.connect import connect_robot, is_simulation, robot_
 from robot_runner.core.links.graph_names import full_name
 from robot_runner.core.links.robot import Encoding, RawMessage, RobotLink
 from robot_runner.core.plugin import Circumstances, Profiler
+from robot_runner.measuring.parameter_checks import no_robot
 from robot_runner.measuring.quality import Column, SampleQuality, quality_of
 from robot_runner.ros.robot_system import OfTheRobot
 from robot_runner.ros.sole_control import is_told
@@ -64,18 +65,13 @@ class Stamp(NamedTuple):
 
 def robot_findings(name: str, circumstances: Circumstances) -> list[Finding]:
     """Return the finding that the experiment names no robot to subscribe to, if so."""
-    if circumstances.robot is not None:
-        return []
-    fix = "Name one in the config: robot = 'simulated'. Or: --set robot=simulated."
-    return [
-        Finding.error(f"plugin {name}", "the plugin subscribes topics of a robot, and the experiment names none", fix)
-    ]
+    return [no_robot(name, "subscribes topics of a robot")] if circumstances.robot is None else []
 
 
 class TopicProfiler(OfTheRobot, Profiler):
     """A profiler of topics that the experiment's robot publishes; it claims nothing else."""
 
-    #: Topics may be published by nobody before the mission.
+    #: Topics may have no publisher before the mission.
     probe_s: float | None = None
     needs: ClassVar[str] = "A robot whose topics can be subscribed."
     #: Which robot, where there are several, and how long a topic may take to appear on the graph, s.
@@ -97,6 +93,11 @@ class TopicProfiler(OfTheRobot, Profiler):
             types = _typed(link)
         return {name: TypedTopic(name, full, types[full]) if full in types else None for name, full in wanted.items()}
 
+    @property
+    def unpublished(self) -> str:
+        """The problem of a topic that `found` has not found."""
+        return f"the topic is not published within {self.patience:g} s of the run's start"
+
     def link(self, context: RobotRunnerContext) -> RobotLink:
         """Return the link to the robot."""
         return connect_robot(context, namespace=self.namespace)
@@ -107,7 +108,7 @@ class TopicProfiler(OfTheRobot, Profiler):
 
 
 def _typed(link: RobotLink) -> dict[str, str]:
-    """Return the type of each topic that has one: the graph tells none where it is only subscribed, as any type."""
+    """Return the type of each topic that has one: there is none where it is only subscribed, as any type."""
     return {name: message_type for name, message_type in link.topics().items() if is_told(message_type)}
 
 

@@ -1,4 +1,4 @@
-"""The tree of coordinate frames that a robot tells of on `/tf` and `/tf_static`, kept for some time and looked up."""
+"""The tree of coordinate frames that a robot publishes on `/tf` and `/tf_static`, kept for some time and looked up."""
 
 from __future__ import annotations
 
@@ -49,10 +49,10 @@ class _Branch:
         del self.times[:old], self.transforms[:old]
 
     def at(self, time: float, frame: str) -> Transform:
-        """Return where the frame is in its parent at this time, between what was told before and after.
+        """Return where the frame is in its parent at this time, interpolated between the transforms around it.
 
         Raises:
-            LinkError: the time lies outside of what was told.
+            LinkError: the time is before the first transform, or after the last one.
         """
         if self.is_static:
             return self.transforms[0]
@@ -73,17 +73,17 @@ class _Branch:
 
 
 class TransformBuffer:
-    """Keeps what is told of coordinate frames, and says where one is in another at a time.
+    """Keeps transforms between coordinate frames, and returns the pose of one in another at a time.
 
-    What cannot be true is left out and told in `findings`, each once: frames that would be their own ancestors, a frame
-    with two parents, a rotation that is not a unit quaternion. Where a frame's stamps jump back by more than a second,
-    as on the reset of a simulation, everything but what always holds is forgotten.
+    What cannot be true is left out and reported in `findings`, each once: frames that would be their own ancestors, a
+    frame with two parents, a rotation that is not a unit quaternion. Where a frame's stamps jump back by more than a
+    second, as on the reset of a simulation, everything but static transforms is dropped.
 
     Args:
-        horizon: how long it is kept, s of the stamps.
+        horizon: how long transforms are kept, s of the stamps.
 
     Attributes:
-        findings: what was wrong with what was told.
+        findings: what was wrong with the received transforms.
 
     Example:
         >>> buffer = TransformBuffer()
@@ -102,12 +102,12 @@ class TransformBuffer:
         self._lock = threading.Lock()
 
     def subscribe(self, link: Subscriber, opened: ExitStack, *, topic: str = "/tf") -> None:
-        """Keep what a robot tells from now on, until `opened` is closed.
+        """Keep the transforms that a robot publishes from now on, until `opened` is closed.
 
         Args:
             link: to the robot.
-            opened: what is closed when no more is to be kept.
-            topic: on which it tells; what always holds is on the same with `_static` behind it. `tf` is that of the
+            opened: ends the subscriptions when it is closed.
+            topic: of the transforms; static ones are on the same with `_static` behind it. `tf` is that of the
                 robot's namespace, as of several robots with frames of the same names.
 
         Raises:
@@ -119,7 +119,7 @@ class TransformBuffer:
             def take(message: Message, *, is_static: bool = is_static) -> None:
                 self.take(message, is_static=is_static)
 
-            opened.callback(link.subscribe(name, _TYPE, take, qos=qos).close)
+            opened.callback(link.subscribe(name, _TYPE, take, qos=qos, is_prompt=True).close)
 
     def take(self, message: Message, *, is_static: bool = False) -> None:
         """Keep the transforms of a tf2_msgs/TFMessage."""

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore
 
 #: Type stores lose the defaults that definitions give: those of ROS 2's standard messages, as far as they are not zero.
-#: That of a satellite fix came with Jazzy, and so did the constant that tells of it.
+#: That of a satellite fix came with Jazzy, and so did the constant for an unknown fix.
 STANDARD_DEFAULTS = {("geometry_msgs/msg/Quaternion", "w"): 1.0}
 _SATELLITE_FIX, _UNKNOWN_FIX = "sensor_msgs/msg/NavSatStatus", ("STATUS_UNKNOWN", "int8", -2)
 

@@ -12,7 +12,7 @@ from robot_runner.core.errors import LinkError, did_you_mean
 from robot_runner.ros.action_types import action_parts, is_action_part, split_definition
 from robot_runner.ros.bundled_types import bundled_definitions
 from robot_runner.ros.definition_files import definition_files, package_of
-from robot_runner.ros.message_codec import NodeKind
+from robot_runner.ros.message_codec import FILLER, NodeKind
 from robot_runner.ros.shapes import plain_type
 
 if TYPE_CHECKING:
@@ -30,8 +30,6 @@ _WIDE = re.compile(r"^[ \t]*wstring\b[^\s#]*[ \t]+(\w+)", re.MULTILINE)
 
 #: The distribution of ROS 2 whose types are used if none is named.
 LATEST = "jazzy"
-#: The field in ROS 2 of a type without fields, such as one of constants only.
-_PLACEHOLDER = "structure_needs_at_least_one_member"
 
 
 def filled_store(generation: int, distro: str | None, extra: Sequence[Path]) -> Typestore:
@@ -286,8 +284,8 @@ def _file_of(name: str, definitions: Mapping[str, tuple[str, str]]) -> str:
 
 
 def _check_same(name: str, fields: Any, store: Typestore, definitions: Mapping[str, tuple[str, str]]) -> None:
-    known = [field for field in store.fielddefs[name][1] if field[0] != _PLACEHOLDER]
-    if [field for field in fields[1] if field[0] != _PLACEHOLDER] != known:
+    known = [field for field in store.fielddefs[name][1] if field[0] != FILLER]
+    if [field for field in fields[1] if field[0] != FILLER] != known:
         raise LinkError(
             f"{name} is defined otherwise in this distribution of ROS",
             where=_file_of(name, definitions),

@@ -102,7 +102,7 @@ class Watchdog:
         self._heartbeat_at = self._moved_at = None
 
     def must_stop(self, now: float) -> bool:
-        """Whether the robot must be told to stand still at this moment."""
+        """Whether a stop has to be commanded at this moment."""
         return _is_over(self._heartbeat_at, self._heartbeat_timeout, now) or _is_over(
             self._moved_at, self._command_timeout, now
         )

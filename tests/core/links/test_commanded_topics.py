@@ -53,6 +53,18 @@ def test_a_robot_that_is_not_discovered_yet_is_waited_for(
     assert (robot.heard > 0) is (not empty)
 
 
+class Client(Told):
+    """A robot that is a client of the rosbridge's server to which we are connected, too."""
+
+    def subscribers(self, topic: str) -> list[GraphEndpoint]:
+        return [GraphEndpoint("/rosbridge_websocket", TWIST, is_own=True, is_shared=True)]
+
+
+def test_a_robot_behind_the_server_of_our_own_link_is_no_robot_that_is_gone(clock: FakeClock) -> None:
+    assert keep_commanding_zero(Client(clock, 0.0), [(TOPIC, TWIST)]) == []
+    assert clock.now() < commanded_topics._REACHING
+
+
 class CutOff(Told):
     """A robot that takes nothing any more, and counts as gone after a while: nobody is missed then."""
 

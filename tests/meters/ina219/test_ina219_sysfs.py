@@ -224,6 +224,9 @@ def test_a_driver_on_the_robot_is_read_over_ssh(tree, tmp_path, server):
     assert measures["Energy"] == pytest.approx(7.6 * seconds, rel=0.02)
     assert facts["samples"]["clock_uncertainty"] < 0.5
     assert facts["rate_hz"] == 50.0
+    (noted,) = (fields for kind, fields in context.broker.records if kind == "clock")
+    assert noted == {"owner": profiler.name, **facts["host_clock"]}
+    assert (noted["host"], noted["after"]["exchanges"] > 0) == ("robot", True)
 
 
 def test_a_sensor_that_the_robot_does_not_have_fails_the_run_before_its_mission(tree, tmp_path, server):

@@ -7,8 +7,9 @@ from dataclasses import replace
 import pytest
 
 from robot_runner.meters.machine.machine_doubts import MachineReport, Thresholds
-from robot_runner.meters.machine.machine_state import Conditions, MachineState
+from robot_runner.meters.machine.machine_state import MachineState
 from robot_runner.meters.machine.others_load import Load, Share
+from robot_runner.meters.machine.processor_state import Conditions
 
 CALM = Conditions(
     governors=("performance",),

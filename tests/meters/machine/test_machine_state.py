@@ -59,6 +59,14 @@ def test_a_zone_that_measures_nothing_is_not_the_hottest(tmp_path: Path) -> None
     assert MachineFiles(SystemFiles(tmp_path)).conditions().temperature == pytest.approx(61.5)
 
 
+def test_the_processor_of_amd_is_no_zone_and_is_watched_all_the_same(tmp_path: Path) -> None:
+    copy = ComputerCopy(tmp_path)
+    for number, chip, shown in ((2, "k10temp", 81500), (3, "nvme", 90000)):
+        copy.write(f"sys/class/hwmon/hwmon{number}/name", chip)
+        copy.write(f"sys/class/hwmon/hwmon{number}/temp1_input", shown)
+    assert MachineFiles(SystemFiles(tmp_path)).conditions().temperature == pytest.approx(81.5)
+
+
 def test_a_fan_does_not_hold_the_processor_back_and_a_cooling_device_of_the_processor_does(tmp_path: Path) -> None:
     copy = ComputerCopy(tmp_path)
     copy.write("sys/class/thermal/cooling_device1/cur_state", 3)  # the fan

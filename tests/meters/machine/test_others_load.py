@@ -8,8 +8,9 @@ import pytest
 from tests.meters.machine.computer_copy import ComputerCopy
 
 from robot_runner.measuring.on_board_session import REMOTE_COMMAND
-from robot_runner.meters.machine.machine_state import Conditions, MachineFiles, MachineState, ProcessTimes, SystemFiles
+from robot_runner.meters.machine.machine_state import MachineFiles, MachineState, ProcessTimes, SystemFiles
 from robot_runner.meters.machine.others_load import Load, is_expected, load_between
+from robot_runner.meters.machine.processor_state import Conditions
 
 if TYPE_CHECKING:
     from collections.abc import Iterable

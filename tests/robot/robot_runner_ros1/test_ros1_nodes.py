@@ -17,7 +17,7 @@ from tests.processor_wait import ProcessorWait, family
 from tests.ros.ros1_master import RUDE, needs_ros1, ros1_environment
 
 from robot_runner.core.events.context import SystemClock
-from robot_runner.ros.ros1_link import open_ros1_link
+from robot_runner.ros.link_opening import open_ros1_link
 
 ROBOT = Path(__file__).parents[3] / "robot"
 SOURCES = [ROBOT / "robot_runner_onboard" / "src", ROBOT / "robot_runner_ros1" / "src"]

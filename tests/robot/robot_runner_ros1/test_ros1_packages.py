@@ -14,7 +14,7 @@ import pytest
 from tests.ros.ros1_master import RUDE, needs_ros1, ros1_environment
 
 from robot_runner.core.events.context import SystemClock
-from robot_runner.ros.ros1_link import open_ros1_link
+from robot_runner.ros.link_opening import open_ros1_link
 
 pytestmark = [*map(pytest.mark.filterwarnings, RUDE)]
 

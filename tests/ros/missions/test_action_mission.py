@@ -20,7 +20,9 @@ from robot_runner.plugins import Circumstances, Measure, treatment
 from robot_runner.plugins.systems import ActionMission, Together
 from robot_runner.ros.link_opening import open_rosbridge_link
 from robot_runner.ros.missions.goal_measures import FeedbackMeasures
+from robot_runner.ros.watchdog import velocity_of
 from robot_runner.testing import (
+    FakeAction,
     FakeClock,
     FakeLinks,
     FakeRobotLink,
@@ -279,6 +281,77 @@ def test_a_goal_whose_connection_is_lost_ends_the_mission_at_once_and_did_not_ti
         context = contexts(mission, robot=server.url, links=FakeLinks(robot=link), clock=SystemClock())
         with pytest.raises(LinkError, match="the connection is lost"):
             rehearse(context, mission)
+
+
+@pytest.mark.parametrize(("feedback", "asked"), [([{"sequence": [1]}] * 20, 1), ([], 10)])
+def test_whether_the_server_of_a_goal_is_there_is_not_asked_while_feedback_comes(
+    contexts: Any, monkeypatch: pytest.MonkeyPatch, feedback: list[Any], asked: int
+) -> None:
+    mission = ActionMission("dig", "example_interfaces/Fibonacci", failure="measure")
+    clock = FakeClock()
+    robot = FakeRobotLink(clock, actions={"dig": FakeAction({"sequence": []}, seconds=9.5, feedback=feedback)})
+    questions, actions = [], robot.actions
+    monkeypatch.setattr(robot, "actions", lambda: questions.append(clock.now()) or actions())
+    context = contexts(mission, robot="ros2", links=FakeLinks(robot=robot), clock=clock)
+    assert rehearse(context, mission)["Outcome"] == "succeeded"
+    assert len(questions) == asked
+
+
+@pytest.mark.long
+def test_a_goal_goes_on_though_rosapi_hangs(contexts: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    mission = ActionMission("dig", "example_interfaces/Fibonacci", timeout_s=PATIENCE)
+    with (
+        closing(RosbridgeServer(generation=2)) as server,
+        closing(open_rosbridge_link(server.url, SystemClock())) as robot,
+        closing(open_rosbridge_link(server.url, SystemClock())) as link,
+    ):
+        begun, answered, actions = [], [], link.actions
+
+        def execute(_: Any) -> dict[str, Any]:
+            wait_until(lambda: answered)
+            server._rosapi.hangs = True
+            wait_until(lambda: len(begun) > len(answered) + 1)  # asked in vain, and once more
+            server._rosapi.hangs = False
+            return {"sequence": [1]}
+
+        def asked() -> Any:
+            begun.append(None)
+            listed = actions()
+            answered.append(None)
+            return listed
+
+        robot.offer_action(mission.action, mission.action_type, execute)
+        monkeypatch.setattr(link, "actions", asked)
+        context = contexts(mission, robot=server.url, links=FakeLinks(robot=link), clock=SystemClock())
+        assert rehearse(context, mission)["Outcome"] == "succeeded"
+
+
+@pytest.mark.parametrize("twist", ["geometry_msgs/Twist", "geometry_msgs/TwistStamped"])
+def test_a_robot_is_stopped_on_its_stop_topic_at_once_though_rosapi_hangs(
+    contexts: Any, monkeypatch: pytest.MonkeyPatch, twist: str
+) -> None:
+    mission = ActionMission("dig", "example_interfaces/Fibonacci", stop_topic="dig/cmd_vel")
+    answers, heard = threading.Event(), []
+    with (
+        closing(RosbridgeServer(generation=2)) as server,
+        closing(open_rosbridge_link(server.url, SystemClock())) as robot,
+        closing(open_rosbridge_link(server.url, SystemClock())) as link,
+    ):
+        robot.subscribe("dig/cmd_vel", twist, lambda message: heard.append(velocity_of(twist, message)["linear"]["x"]))
+        wait_until(lambda: link.subscribers("dig/cmd_vel"))
+        context = contexts(mission, robot=server.url, links=FakeLinks(robot=link), clock=SystemClock())
+        mission.start_run(context)
+        for question in ("subscribers", "actions"):
+            monkeypatch.setattr(link, question, lambda *_: answers.wait(PATIENCE) and {})
+        stopping = threading.Thread(target=mission.make_safe, args=(context,))
+        stopping.start()
+        try:
+            wait_until(lambda: heard)
+        finally:
+            answers.set()
+            stopping.join(PATIENCE)
+            mission.stop_run(context)
+    assert set(heard) == {0.0}
 
 
 def test_two_robots_reach_their_goals_at_the_same_time(contexts: Any) -> None:

@@ -127,7 +127,7 @@ def test_a_simulator_that_does_not_reset_fails_the_run_within_its_deadline(stage
 
 def test_a_simulator_that_refuses_says_why(stage):
     _, rehearsal, _ = stage("isaac", faults=["refuses"])
-    with pytest.raises(LinkError, match="did not do it: not now"):
+    with pytest.raises(LinkError, match="refuses the request: not now"):
         rehearsal.execute(lambda: None)
 
 

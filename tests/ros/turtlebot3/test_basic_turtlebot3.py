@@ -467,6 +467,25 @@ def test_a_robot_that_hears_no_commands_is_found_before_the_mission(stage):
     assert "'/cmd_vell'" in caught.value.fix
 
 
+def test_a_topic_of_commands_that_others_publish_and_the_robot_does_not_subscribe_is_found_before_the_mission(stage):
+    played = stage()
+    played.robot.known_subscribers["/cmd_vel"] = []
+    with pytest.raises(LinkError, match="nobody subscribes '/cmd_vel'") as caught:
+        played.plugin.start_run(played.context)
+    assert "bringup" in caught.value.fix
+
+
+def test_a_robot_that_is_discovered_after_others_on_its_topic_hears_commands_of_its_type(stage):
+    played, stamped = stage(), "geometry_msgs/TwistStamped"
+    played.robot.known_topics["cmd_vel"] = stamped  # a joystick's node publishes it
+    played.robot.known_subscribers["/cmd_vel"] = []
+    base = [GraphEndpoint("/base", stamped)]
+    played.clock.at(played.clock.now() + 1.0, lambda: played.robot.known_subscribers.update({"/cmd_vel": base}))
+    played.execute()
+    assert {each.message_type for each in played.robot.publications if each.topic == "cmd_vel"} == {stamped}
+    assert {each for topic, each in played.robot._advertised.items() if topic == "cmd_vel"} == {stamped}
+
+
 def test_two_robots_on_one_topic_are_told_by_their_stamps(stage):
     played = stage()
     played.plugin.start_run(played.context)

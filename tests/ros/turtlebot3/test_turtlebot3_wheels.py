@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import pytest
 
+from robot_runner.core.errors import LinkError
+from robot_runner.core.links import commanded_topics
+from robot_runner.core.links.robot import Qos
 from robot_runner.ros.turtlebot3.motion import Wheels
 from robot_runner.ros.watchdog import TWIST, TWIST_STAMPED
 from robot_runner.testing import FakeClock, FakeRobotLink
 
 
 @pytest.fixture
-def link():
+def link(monkeypatch):
+    monkeypatch.setattr(commanded_topics, "_types", {})  # by which other tests have commanded robots
     return FakeRobotLink(FakeClock())
 
 
@@ -46,3 +50,25 @@ def test_a_robot_that_comes_later_is_asked_again(link):
     link.known_topics = {"/alice/cmd_vel": TWIST_STAMPED}
     wheels.command(0.2, 0.0)
     assert [each.message_type for each in link.publications] == [TWIST, TWIST_STAMPED]
+
+
+class DiscoveredLate(FakeRobotLink):
+    """A graph that discovers the robot while a publisher is made, as one that was just joined."""
+
+    def publish(self, topic, message_type, message, *, qos=Qos.DEFAULT):
+        self.known_topics = {"cmd_vel": TWIST_STAMPED}
+        if message_type == TWIST:
+            raise LinkError(f"the topic carries {TWIST_STAMPED}", where=topic)
+        super().publish(topic, message_type, message, qos=qos)
+
+
+def test_a_robot_that_is_discovered_by_the_first_command_gets_it(link):
+    link = DiscoveredLate(FakeClock())
+    Wheels(link).command(0.0, 0.0)
+    assert [each.message_type for each in link.publications] == [TWIST_STAMPED]
+
+
+def test_what_a_robot_refuses_is_raised(link):
+    link.fault = LinkError("the cable came off", where="robot")
+    with pytest.raises(LinkError, match="the cable came off"):
+        Wheels(link).command(0.0, 0.0)

@@ -104,7 +104,7 @@ def keep_commanding_zero(link: RobotLink, commanded: Sequence[tuple[str, str]]) 
             try:
                 # First: that takes up to a second, in which one that takes nothing may come to count as gone.
                 is_reached = seconds >= _TELLING and _reaches(link, topic, message_type)
-                if seconds >= _TELLING and all(each.is_own for each in link.subscribers(topic)):
+                if seconds >= _TELLING and not any(each.may_be_others for each in link.subscribers(topic)):
                     empty.append(topic)
                 elif seconds >= _TELLING and not is_reached:
                     missed.append(topic)

@@ -75,6 +75,11 @@ class GraphEndpoint:
     qos: Qos | None = field(default=None, compare=False)
     is_shared: bool = field(default=False, compare=False)
 
+    @property
+    def may_be_others(self) -> bool:
+        """Whether it is, or may be, that of another program."""
+        return not self.is_own or self.is_shared
+
     def __str__(self) -> str:
         """Return its name for messages.
 
@@ -135,7 +140,13 @@ class Subscriber(Protocol):
     """
 
     def subscribe(
-        self, topic: str, message_type: str, callback: Callable[[Message], None], *, qos: Qos | None = None
+        self,
+        topic: str,
+        message_type: str,
+        callback: Callable[[Message], None],
+        *,
+        qos: Qos | None = None,
+        is_prompt: bool = False,
     ) -> Subscription:
         """Call `callback` with each message of the topic.
 
@@ -145,6 +156,8 @@ class Subscriber(Protocol):
             callback: called with each message. Its exceptions fail the run: on the simulated link they are raised by
                 sleeping on the clock, on all others by `close`.
             qos: None for a profile that fits the topic's publishers.
+            is_prompt: whether callbacks that take long do not delay this one, by which a plugin steers or measures; it
+                has to return at once itself.
 
         Raises:
             LinkError: it carries another type, its publishers offer less than `qos` asks for, or there is no such type.

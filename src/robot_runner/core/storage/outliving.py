@@ -108,6 +108,11 @@ def _start_of(pid: int) -> str:
     return stat[STARTED] if stat else ""
 
 
+def started_at(pid: int) -> str:
+    """Return when a living process started, in clock ticks since boot; empty for a dead one, and without /proc."""
+    return "" if process_stat(pid)[:1] in (["Z"], ["X"]) else _start_of(pid)
+
+
 def is_alive(pid: int) -> bool:
     """Return whether there is a process with this id."""
     try:

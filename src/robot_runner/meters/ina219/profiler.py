@@ -6,7 +6,7 @@ import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 
 from robot_runner.core.errors import Finding, LinkError, PluginError
 from robot_runner.core.events.context import RobotRunnerContext, SystemClock
@@ -17,9 +17,10 @@ from robot_runner.core.links.declared_host import LOCAL
 from robot_runner.core.links.ssh_command import ssh_findings
 from robot_runner.core.plugin import Circumstances, Profiler, probe_window
 from robot_runner.measuring.devices import connect_host, open_serial_line
-from robot_runner.measuring.evaluation import publish_measures
+from robot_runner.measuring.evaluation import NEVER_STARTED, publish_measures
 from robot_runner.measuring.host import FileHost
 from robot_runner.measuring.live_samples import LiveSamples
+from robot_runner.measuring.parameter_checks import check_numbers
 from robot_runner.measuring.periodic import PeriodicSampler
 from robot_runner.measuring.quality import Column
 from robot_runner.measuring.serial_line import found_ports, port_problem
@@ -28,7 +29,6 @@ from robot_runner.meters.ina219.frames import FIRST_SENSOR
 from robot_runner.meters.ina219.line_meter import LineMeter, Meter, PromptMeter, SharedLine
 from robot_runner.meters.ina219.registers import DEFAULT_RATE, Evaluation
 from robot_runner.meters.ina219.sysfs import DEFAULT_SYSFS_RATE, SysfsMeter, find_sensor
-from robot_runner.meters.parameter_checks import check_positive
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -229,8 +229,8 @@ class Ina219(Profiler):
         namespace: str = "",
     ) -> None:
         super().__init__(name=name)
-        given = {"shunt_ohm": shunt_ohm, "rate_hz": rate_hz, "card_patience_s": card_patience_s or None}
-        check_positive(self.name, **{parameter: value for parameter, value in given.items() if value is not None})
+        given: dict[str, Any] = {"shunt_ohm": shunt_ohm, "rate_hz": rate_hz, "card_patience_s": card_patience_s or None}
+        check_numbers(self.name, **{parameter: value for parameter, value in given.items() if value is not None})
         config = None if ssh_config is None else Path(ssh_config).expanduser()
         self.way = Way(
             port=port, card=card, sysfs=sysfs, host=host, ssh_config=config, address=address, namespace=namespace
@@ -314,7 +314,7 @@ class Ina219(Profiler):
             LinkError: the file from the meter's card did not come, or is not as expected.
         """
         if self._meter is None:
-            context.doubt("nothing was measured: the measurement was never started", fix=_REMEDY)
+            context.doubt(NEVER_STARTED, fix=_REMEDY)
             publish_measures(context, self.measures, lambda _: {})
             return
         meter, mission = self._meter, context.window
@@ -337,6 +337,8 @@ class Ina219(Profiler):
         if self._evaluation is None:
             self._evaluation = replace(meter.evaluate(context.window), limits=self.plausible_w)
             self._evaluation.write(context.raw_data_folder)
+            if (host_clock := self._evaluation.details.get("host_clock")) is not None:
+                context.note_clock(host_clock)
         return self._evaluation
 
     def _open_meter(self, context: RobotRunnerContext) -> Meter:

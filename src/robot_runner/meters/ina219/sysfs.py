@@ -208,6 +208,7 @@ class SysfsMeter:
                 "rate_hz": report.rate,
                 "sensor": _facts(self._sensor),
                 "form": report.form,
+                "host_clock": report.clock_facts,
             },
             doubts=(
                 *self._doubts(report),

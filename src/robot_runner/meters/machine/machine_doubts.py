@@ -14,8 +14,9 @@ from typing import TYPE_CHECKING, Any
 from robot_runner.core.words import counted, enumerated
 
 if TYPE_CHECKING:
-    from robot_runner.meters.machine.machine_state import Conditions, MachineState
+    from robot_runner.meters.machine.machine_state import MachineState
     from robot_runner.meters.machine.others_load import Load
+    from robot_runner.meters.machine.processor_state import Conditions
 
 _PERCENT, _MEGA = 100.0, 1e6
 _NAMED = 3

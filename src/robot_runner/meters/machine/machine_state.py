@@ -6,7 +6,6 @@ wrong.
 
 from __future__ import annotations
 
-import math
 import os
 import re
 import time
@@ -14,67 +13,40 @@ from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
+
+from robot_runner.meters.machine.processor_state import Conditions, Files, ProcessorFiles
 
 #: Ticks a second in /proc: USER_HZ, which is 100 on all computers of robots and their users.
 _TICKS = 100.0
-_KILO, _MILLI, _MICRO = 1e3, 1e-3, 1e-6
+_MICRO = 1e-6
 _MOST = 1 << 16
 _PF_KTHREAD = 0x00200000  # linux/sched.h
-#: Zones with other temperatures, in degC, are asleep or broken; a sleeping GPU shows -256.
-_PLAUSIBLE = (-40.0, 150.0)
-#: Zones that measure nothing: NVIDIA's Jetsons always show 100 degC there (balena-os/balena-jetson, issue 142).
-_DUMMY_ZONES = ("PMIC-Die",)
-#: Cooling devices that throttle the processor, as they are called in newer and older kernels; the others are fans and
-#: the like. intel_powerclamp says -1 while it does nothing (drivers/thermal/cpu*_cooling.c, intel/intel_powerclamp.c).
-PROCESSOR_COOLERS = ("Processor", "cpufreq", "thermal-cpufreq", "idle-", "cpuidle", "thermal-idle", "intel_powerclamp")
-#: The firmware of a Raspberry Pi (raspberrypi/linux, pull request 2397), in hexadecimal: bit 0 is under-voltage; bits
-#: 1 to 3 are a capped frequency, throttling and the soft temperature limit; 16 bits higher, the same since the start,
-#: or within two seconds where the driver of its voltage sensor asks (drivers/hwmon/raspberrypi-hwmon.c), as it does in
-#: Raspberry Pi OS. On a Raspberry Pi 5 it is `soc@107c000000` (bcm2712.dtsi).
-FIRMWARE = "/sys/devices/platform/soc*/soc*:firmware/get_throttled"
-UNDER_VOLTAGE, HELD_BACK, EVER = 0b0001, 0b1110, 16
-#: How often a Jetson was throttled as it drew too much current, or its voltage fell, since it started. Source: NVIDIA,
-#: Jetson Linux Developer Guide, Platform Power and Performance.
-OVER_CURRENTS = "/sys/class/hwmon/hwmon*/oc[0-9]_event_cnt"
-_CPU = "/sys/devices/system/cpu"
-#: 1 switches turbo off in the first (Intel), and on in the second (the others): Linux, admin-guide/pm.
-_NO_TURBO, _BOOST = f"{_CPU}/intel_pstate/no_turbo", f"{_CPU}/cpufreq/boost"
-
-
-class Files(Protocol):
-    """A computer whose files can be read: this one, or another over ssh, of whose files only the first line is read."""
-
-    def list_files(self, pattern: str) -> list[str]:
-        """Return the paths that match a pattern of the shell, sorted."""
-
-    def read_files(self, paths: Sequence[str]) -> Sequence[str | None]:
-        """Return the content of each file; None for one that cannot be read."""
 
 
 class SystemFiles:
     """The files of this machine.
 
     Args:
-        root: the folder with `proc` and `sys`; tests have a copy elsewhere.
+        root: the folder that stands for `of`; tests have a copy elsewhere.
+        of: a folder of the machine.
 
     Example:
         >>> SystemFiles().read_files(["/dev/null", "/no/such/file"])
         ['', None]
     """
 
-    def __init__(self, root: Path = Path("/")) -> None:
-        self.root = root
-        self._prefix = str(root).rstrip("/")
+    def __init__(self, root: Path = Path("/"), *, of: str = "/") -> None:
+        self._root = root
+        self._of, self._prefix = of.rstrip("/"), str(root).rstrip("/")
 
     def list_files(self, pattern: str) -> list[str]:
         """Return the paths that match a pattern of the shell, sorted."""
-        found = self.root.glob(pattern.lstrip("/"))
-        return sorted(str(path).removeprefix(self._prefix) for path in found)
+        found = self._root.glob(pattern.removeprefix(self._of).lstrip("/"))
+        return sorted(self._of + str(path).removeprefix(self._prefix) for path in found)
 
     def read_files(self, paths: Sequence[str]) -> list[str | None]:
         """Return the content of each file, 64 KiB at most; None for one that cannot be read."""
-        return [_content(self._prefix + path) for path in paths]
+        return [_content(self._prefix + path.removeprefix(self._of)) for path in paths]
 
 
 def _content(path: str) -> str | None:
@@ -142,38 +114,6 @@ class ProcessTimes:
 
 
 @dataclass(frozen=True, slots=True)
-class Conditions:
-    """The conditions of a processor at one moment.
-
-    Attributes:
-        governors: which choose the frequency, without repetitions; empty where they are unknown.
-        is_turbo: whether it may exceed its nominal frequency.
-        frequency: mean over the cores, Hz.
-        limit: the highest frequency that is allowed, mean over the cores, Hz.
-        temperature: of the hottest zone, degC.
-        throttle_counts: how often each core, and its package, was throttled for heat since the computer started; each
-            core has a counter of its package. None where there are no such counters, or one cannot be read.
-        is_held_back: whether the kernel or the firmware throttles it now.
-        is_under_voltage: whether the supply voltage is too low now.
-        over_currents: how often a Jetson was throttled for its current or its voltage since it started; None where that
-            is not counted, or a counter cannot be read.
-        firmware_flags: a Raspberry Pi's flags of what is happening now or has happened before: since the computer
-            started, or within two seconds.
-    """
-
-    governors: tuple[str, ...] = ()
-    is_turbo: bool | None = None
-    frequency: float | None = None
-    limit: float | None = None
-    temperature: float | None = None
-    throttle_counts: tuple[int, ...] | None = None
-    is_held_back: bool | None = None
-    is_under_voltage: bool | None = None
-    over_currents: int | None = None
-    firmware_flags: int = 0
-
-
-@dataclass(frozen=True, slots=True)
 class MachineState:
     """The state of a computer at one moment.
 
@@ -207,51 +147,22 @@ class MachineFiles:
 
     def __init__(self, files: Files) -> None:
         self._files = files
-        # Of each core, even if several share a clock, like the small and the large ones of many boards.
-        clocks = files.list_files(f"{_CPU}/cpu[0-9]*/cpufreq/scaling_*")
-        thermal = files.list_files("/sys/class/thermal/*/*")
-        self._governors = _named(clocks, "scaling_governor")
-        self._frequencies = _named(clocks, "scaling_cur_freq")
-        self._limits = _named(clocks, "scaling_max_freq")
-        self._counters = files.list_files(f"{_CPU}/cpu[0-9]*/thermal_throttle/*_throttle_count")
-        types = _named(thermal, "type")
-        kinds = dict(zip(types, files.read_files(types) if types else (), strict=True))
-        self._temperatures = [
-            path
-            for path in _named(thermal, "temp")
-            if "thermal_zone" in path and is_measured(kinds.get(f"{path.removesuffix('temp')}type"))
-        ]
-        self._coolers = [
-            f"{path.removesuffix('type')}cur_state"
-            for path, kind in kinds.items()
-            if "cooling_device" in path and (kind or "").startswith(PROCESSOR_COOLERS)
-        ]
-        self._firmware, self._over_currents = files.list_files(FIRMWARE), files.list_files(OVER_CURRENTS)
-        self._cheap = [
-            *(_NO_TURBO, _BOOST),
-            *self._firmware,
-            *self._governors,
-            *self._frequencies,
-            *self._limits,
-            *self._temperatures,
-            *self._counters,
-            *self._over_currents,
-            *self._coolers,
-        ]
+        self._processor = ProcessorFiles(files)
+        self._cheap = [*self._processor.settings, *self._processor.changing]
 
     @property
     def tells_of_conditions(self) -> bool:
         """Whether there are files of conditions of the processor that change by themselves."""
-        return bool(self._frequencies or self._temperatures or self._coolers or self._firmware)
+        return bool(self._processor.changing)
 
     @property
     def has_firmware(self) -> bool:
         """Whether there is a Raspberry Pi's firmware, whose flags may be taken back after two seconds."""
-        return bool(self._firmware)
+        return self._processor.has_firmware
 
     def conditions(self) -> Conditions:
         """Read the conditions of the processor: a few files for each core."""
-        return self._understood(dict(zip(self._cheap, self._files.read_files(self._cheap), strict=True)))
+        return self._processor.conditions(dict(zip(self._cheap, self._files.read_files(self._cheap), strict=True)))
 
     def state(self) -> MachineState:
         """Read everything, also each process."""
@@ -270,75 +181,13 @@ class MachineFiles:
             reader=next(iter(_processes([reader])), None),
             swapped=_swapped(memory),
             stalled=_stalled(pressure),
-            conditions=self._understood(dict(zip(self._cheap, cheap, strict=True))),
+            conditions=self._processor.conditions(dict(zip(self._cheap, cheap, strict=True))),
         )
 
     def command_lines(self, pids: Sequence[int]) -> dict[int, list[str]]:
         """Return the command lines of processes, as words; empty for one that has ended."""
         texts = self._files.read_files([f"/proc/{pid}/cmdline" for pid in pids])
         return {pid: [word for word in (text or "").split("\0") if word] for pid, text in zip(pids, texts, strict=True)}
-
-    def _understood(self, texts: Mapping[str, str | None]) -> Conditions:
-        def numbers(paths: Iterable[str]) -> list[float]:
-            return [number for path in paths if (number := _number(texts[path])) is not None]
-
-        temperatures = [each * _MILLI for each in numbers(self._temperatures)]
-        counts, coolers = numbers(self._counters), numbers(self._coolers)
-        over = numbers(self._over_currents)
-        flags = next((_hexadecimal(texts[path]) for path in self._firmware), None)
-        tells = bool(coolers) or flags is not None
-        now = flags or 0
-        return Conditions(
-            governors=tuple(dict.fromkeys(text for path in self._governors if (text := texts[path]))),
-            is_turbo=_turbo(_number(texts[_NO_TURBO]), _number(texts[_BOOST])),
-            frequency=_mean(numbers(self._frequencies), _KILO),
-            limit=_mean(numbers(self._limits), _KILO),
-            temperature=max(filter(is_plausible, temperatures), default=None),
-            throttle_counts=tuple(map(int, counts)) if counts and len(counts) == len(self._counters) else None,
-            is_held_back=any(state > 0 for state in coolers) or bool(now & HELD_BACK) if tells else None,
-            is_under_voltage=None if flags is None else bool(now & UNDER_VOLTAGE),
-            over_currents=int(sum(over)) if over and len(over) == len(self._over_currents) else None,
-            firmware_flags=(now | now >> EVER) & (UNDER_VOLTAGE | HELD_BACK),
-        )
-
-
-def is_measured(zone: str | None) -> bool:
-    """Whether a thermal zone of this type measures a temperature."""
-    return zone not in _DUMMY_ZONES
-
-
-def is_plausible(celsius: float) -> bool:
-    """Whether a temperature of a thermal zone, degC, can be right."""
-    return _PLAUSIBLE[0] < celsius < _PLAUSIBLE[1]
-
-
-def _named(paths: Iterable[str], name: str) -> list[str]:
-    return [path for path in paths if path.endswith(f"/{name}")]
-
-
-def _number(text: str | None) -> float | None:
-    try:
-        found = float(text or "")
-    except ValueError:  # the sensor is asleep or gone
-        return None
-    return found if math.isfinite(found) else None
-
-
-def _hexadecimal(text: str | None) -> int | None:
-    try:
-        return int(text or "", 16)
-    except ValueError:
-        return None
-
-
-def _mean(values: Sequence[float], factor: float) -> float | None:
-    return math.fsum(values) / len(values) * factor if values else None
-
-
-def _turbo(no_turbo: float | None, boost: float | None) -> bool | None:
-    if no_turbo is not None:
-        return no_turbo == 0
-    return None if boost is None else boost != 0
 
 
 def _cpu_times(text: str | None) -> tuple[float | None, float | None]:

@@ -17,11 +17,12 @@ from robot_runner.core.plugin import Plugin, Profiler
 from robot_runner.measuring.devices import connect_host
 from robot_runner.measuring.host import FileHost, RemoteHost
 from robot_runner.measuring.measured_machine import Computer, concerned
+from robot_runner.measuring.parameter_checks import check_list, check_numbers
 from robot_runner.measuring.periodic import PeriodicSampler
 from robot_runner.meters.machine.machine_doubts import MachineReport, Thresholds
-from robot_runner.meters.machine.machine_state import Conditions, MachineFiles, MachineState, SystemFiles
+from robot_runner.meters.machine.machine_state import MachineFiles, MachineState, SystemFiles
 from robot_runner.meters.machine.others_load import Load, load_between
-from robot_runner.meters.parameter_checks import check_list, check_positive
+from robot_runner.meters.machine.processor_state import Conditions
 
 _USUAL = Thresholds()
 #: The period of reading frequency and temperature of this machine, s: heat takes longer than that to build up, and a
@@ -64,7 +65,7 @@ class MachineWatch(Profiler):
     ) -> None:
         super().__init__(name=name)
         check_list(self.name, hosts=hosts)
-        check_positive(self.name, load=load)
+        check_numbers(self.name, load=load)
         self.hosts = tuple(hosts)
         self.thresholds = Thresholds(load=load)
         self.root = Path(root)

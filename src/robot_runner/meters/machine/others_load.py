@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from robot_runner.meters.machine.machine_state import MachineState, ProcessTimes
 
 _PERCENT = 100.0
-#: How many of the busiest processes are listed: nobody would read more.
+#: How many of the busiest processes are listed: a reader would not read more.
 _LOOKED_AT = 12
 #: A process that took less than this share of a core, in percent, is not listed.
 _NOTABLE = 1.0

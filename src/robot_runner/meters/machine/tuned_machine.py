@@ -16,8 +16,8 @@ from robot_runner.core.errors import Finding, PluginError, StorageError, did_you
 from robot_runner.core.events.context import RobotRunnerContext
 from robot_runner.core.execution.processes import needed_process
 from robot_runner.core.plugin import Circumstances, Plugin, System
+from robot_runner.measuring.parameter_checks import check_list
 from robot_runner.meters.machine.tuning import Machine, Wishes
-from robot_runner.meters.parameter_checks import check_list
 
 if TYPE_CHECKING:
     from robot_runner.core.config.parameters import Parameters
@@ -101,7 +101,7 @@ class Tune(System):
     def before_experiment(self) -> None:
         """Set the machine up for the experiment, or restore what a killed process left."""
         words = [sys.executable, "-P", "-m", _MODULE, str(self.machine.root), str(self.machine.state.absolute())]
-        # Its input ends when this process and all its forks are gone: then nobody measures any more.
+        # Its input ends when this process and all its forks have ended: then nothing measures any more.
         with needed_process("restoring the machine afterwards"):
             self._guardian = subprocess.Popen(words, stdin=subprocess.PIPE, start_new_session=True)  # noqa: S603 - ours
         if self.scope == "experiment":

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from robot_runner.core.errors import Finding, PluginError, did_you_mean
-from robot_runner.core.storage.outliving import process_stat
+from robot_runner.core.storage.outliving import ancestors, started_at
 from robot_runner.core.words import enumerated
 from robot_runner.meters.machine.machine_state import ProcessTimes, text_in
 from robot_runner.meters.machine.tuning_state import Change, Kept, state_file
@@ -71,7 +71,7 @@ class Machine:
             problem = "this machine was set up by robot-runner tune, and still is"
             return [Finding.error(where, problem, _RESTORE)] if blocks else [Finding.warning(where, problem, _RESTORE)]
         if self._is_alive(kept.owner):
-            if kept.owner[0] in _ancestors():  # a run in a fresh interpreter asks as well
+            if kept.owner[0] in {1, *ancestors(os.getpid())}:  # a run in a fresh interpreter asks as well
                 return []
             problem = f"this machine is set up by process {kept.owner[0]}, which goes on"
             return [Finding.error(where, problem, "Wait until it has ended.")] if blocks else []
@@ -182,7 +182,7 @@ class Machine:
             return
         governors = self._governors()
         if not governors:
-            problem = "this machine lets nobody choose its CPU governor: a virtual machine, or no cpufreq driver"
+            problem = "the CPU governor of this machine cannot be set: a virtual machine, or no cpufreq driver"
             yield Finding.error(where, problem, "Leave governor out.")
         for path in governors[:1]:
             known = text_in(path.with_name("scaling_available_governors")).split()
@@ -198,7 +198,7 @@ class Machine:
             return
         turbo = self._turbo()
         if turbo is None:
-            yield Finding.error(where, "this machine does not let anybody switch turbo", "Leave turbo out.")
+            yield Finding.error(where, "the turbo of this machine cannot be switched", "Leave turbo out.")
         elif not os.access(turbo[0], os.W_OK):
             yield Finding.error(where, f"{turbo[0]} cannot be written", _AS_ROOT)
 
@@ -227,7 +227,7 @@ class Machine:
         everything = sorted(_affinity(os.getpid())) if wishes.cores else []
         return Kept(
             boot=self._boot(),
-            owner=None if owner is None else (owner, _started(Path("/proc") / str(owner))),
+            owner=None if owner is None else (owner, started_at(owner)),
             changes=tuple(changes),
             threads=dict(self._threads()) if wishes.cores else {},
             others=tuple(core for core in everything if core not in wishes.cores),
@@ -294,8 +294,7 @@ class Machine:
 
     @staticmethod
     def _is_alive(owner: tuple[int, str]) -> bool:
-        is_there = bool(owner[1]) and _started(Path("/proc") / str(owner[0])) == owner[1]
-        return is_there and process_stat(owner[0])[:1] not in (["Z"], ["X"])  # killed, and not reaped yet
+        return bool(owner[1]) and started_at(owner[0]) == owner[1]
 
 
 def _setting_in(path: Path) -> str:
@@ -314,20 +313,6 @@ def _process(folder: Path) -> ProcessTimes | None:
     with suppress(ValueError):
         return ProcessTimes.of_stat(text_in(folder / "stat"))
     return None
-
-
-def _started(folder: Path) -> str:
-    process = _process(folder)
-    return "" if process is None else process.started
-
-
-def _ancestors() -> Iterator[int]:
-    """Yield this process and its ancestors."""
-    pid = os.getpid()
-    while pid > 0:
-        yield pid
-        process = _process(Path("/proc") / str(pid))
-        pid = process.parent if process is not None else 0
 
 
 def _own_threads() -> set[int]:

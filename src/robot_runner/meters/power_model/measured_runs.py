@@ -13,8 +13,7 @@ from robot_runner.core.storage.guarded_files import MissingFileError, read_json
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.measuring.quality import MINIMUM_COVERAGE
 from robot_runner.measuring.series import Series, cut, mean
-from robot_runner.meters.power_model.raw_columns import read_numbers
-from robot_runner.meters.power_model.states import RobotState, Sources, read_states
+from robot_runner.meters.power_model.states import RobotState, Sources, read_numbers, read_states
 
 #: A piece shorter than this, s, holds too few samples of a 200 Hz meter for its mean power to mean much.
 _SHORTEST = 0.02

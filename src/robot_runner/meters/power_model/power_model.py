@@ -205,8 +205,8 @@ class PowerModel(Profiler):
         ]
 
     def start_run(self, context: RobotRunnerContext) -> None:
-        """Have its values be doubtful where those are that it is to be computed from."""
-        with suppress(PluginError):  # told with the estimate
+        """Make its values doubtful where those are from which they are computed."""
+        with suppress(PluginError):  # reported with the estimate
             for kind, plugin in self._needed(self._read()).items():
                 if plugin is not None:
                     context.broker.derive(self.name, plugin, _MEASURES.get(kind, ()))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import math
 import re
 from bisect import bisect_left, bisect_right
@@ -12,9 +13,9 @@ from pathlib import Path
 
 from robot_runner.core.errors import AnalysisError
 from robot_runner.core.events.window import Window
+from robot_runner.core.storage.guarded_files import MissingFileError, open_text
 from robot_runner.meters.counters import unwrapped
 from robot_runner.meters.network import wraps_at
-from robot_runner.meters.power_model.raw_columns import heading_of, number_of, read_numbers, rows_of
 
 #: Phases in which the robot stands still; every other one is a motion.
 _STILL = frozenset({"", "sleep", "task"})
@@ -142,9 +143,9 @@ class _Mission:
 
 
 def _read_phases(path: Path) -> list[_Phase]:
-    rows = rows_of(path, ("start_s", "end_s", "phase", "task"))
+    rows = _rows_of(path, ("start_s", "end_s", "phase", "task"))
     phases = (
-        _Phase(number_of(path, row["start_s"]), number_of(path, row["end_s"]), row["phase"], row["task"])
+        _Phase(_number_of(path, row["start_s"]), _number_of(path, row["end_s"]), row["phase"], row["task"])
         for row in rows
     )
     return sorted(phases, key=lambda phase: phase.start)
@@ -237,10 +238,62 @@ def _read_utilisation(path: Path) -> _Sampled:
 
 
 def _read(path: Path, wanted: re.Pattern[str]) -> _Sampled:
-    columns = [name for name in heading_of(path) if wanted.fullmatch(name)]
+    columns = [name for name in _table_of(path)[0] if wanted.fullmatch(name)]
     if not columns:
         raise AnalysisError(
             f"the file has no column like {wanted.pattern!r}", where=str(path), fix="Name a plugin that samples it."
         )
     times, *numbers = read_numbers(path, ("time_s", *columns))
     return _Sampled(times, numbers)
+
+
+def read_numbers(path: Path, columns: Sequence[str]) -> list[list[float]]:
+    """Return these columns of a file of samples, without rows in which one of them is empty.
+
+    Raises:
+        AnalysisError: the file or one of the columns is missing, or a cell is not a number.
+    """
+    values: list[list[float]] = [[] for _ in columns]
+    for row in _rows_of(path, columns):
+        if not all(row[column] for column in columns):
+            continue
+        for column, cells in zip(columns, values, strict=True):
+            cells.append(_number_of(path, row[column]))
+    return values
+
+
+def _rows_of(path: Path, columns: Sequence[str]) -> list[dict[str, str]]:
+    """Return the rows of a file with these columns.
+
+    Raises:
+        AnalysisError: the file or one of the columns is missing.
+    """
+    heading, rows = _table_of(path)
+    missing = [column for column in columns if column not in heading]
+    if missing:
+        fix = "Name a plugin whose raw data hold it."
+        raise AnalysisError(f"the file has no column {missing[0]!r}", where=str(path), fix=fix)
+    return rows
+
+
+def _table_of(path: Path) -> tuple[Sequence[str], list[dict[str, str]]]:
+    try:
+        with open_text(path) as file:
+            reader = csv.DictReader(file)
+            return reader.fieldnames or (), list(reader)
+    except MissingFileError as error:
+        fix = "Have the experiment's plugins measure it, or name the plugin that does."
+        raise AnalysisError("there is no such file", where=str(path), fix=fix) from error
+
+
+def _number_of(path: Path, cell: str | None) -> float:
+    """Return a cell as a number.
+
+    Raises:
+        AnalysisError: the cell is not a number.
+    """
+    try:
+        return float(cell or "")
+    except ValueError as error:
+        fix = "Leave this run out: its raw data are damaged."
+        raise AnalysisError(f"{cell!r} is not a number", where=str(path), fix=fix) from error

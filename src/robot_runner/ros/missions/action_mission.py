@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from contextlib import ExitStack, closing, nullcontext
+from contextlib import ExitStack, closing, nullcontext, suppress
 from enum import StrEnum
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -17,9 +17,10 @@ from robot_runner.core.links.goals import ActionResult, GoalStatus
 from robot_runner.core.links.graph_names import GraphNeed, field_of, full_name
 from robot_runner.core.links.robot import Goal, RobotLink
 from robot_runner.core.words import listed
+from robot_runner.measuring.parameter_checks import check_numbers
 from robot_runner.ros.missions.goal_measures import FeedbackMeasures, ResultMeasures
 from robot_runner.ros.missions.way_measures import WayMeasures
-from robot_runner.ros.robot_system import RobotSystem, check_numbers
+from robot_runner.ros.robot_system import RobotSystem
 from robot_runner.ros.shapes import plain_type
 from robot_runner.ros.turtlebot3.motion import Wheels
 from robot_runner.ros.turtlebot3.steered_robot import Heartbeat
@@ -147,6 +148,7 @@ class ActionMission(RobotSystem):
         self._values: dict[str, MeasureValue] | None = None
         self._is_simulated = False
         self._heartbeat: Heartbeat | None = None
+        self._wheels: Wheels | None = None
 
     def _check_names(self) -> None:
         names = [measure.name for measure in self.measures]
@@ -167,11 +169,15 @@ class ActionMission(RobotSystem):
 
     def start_run(self, context: RobotRunnerContext) -> None:
         """Connect, and check that the messages for measures of the way arrive."""
-        self._goal = self._values = None
+        self._goal = self._values = self._wheels = None
         self._of_feedback.begin()
         self._link = connect_robot(context, namespace=self.namespace)
         if self.stop_topic is not None:
             self._heartbeat = Heartbeat(self._link)
+            namespace = robot_namespace(context, self.namespace)
+            self._wheels = Wheels(self._link, namespace=namespace, topic=self.stop_topic)
+            with suppress(LinkError):  # so that the graph need not be asked when the robot is to stop
+                self._wheels.get_ready(awaits=False)
         self._of_way.begin(self._link, context, timeout=self.connect_timeout_s)
 
     def launch_mission(self, context: RobotRunnerContext) -> None:
@@ -215,7 +221,9 @@ class ActionMission(RobotSystem):
         link = connect_robot(context, namespace=self.namespace)
         namespace = robot_namespace(context, self.namespace)
         with ExitStack() as each:  # all steps are done, also after one has failed
-            wheels = None if self.stop_topic is None else Wheels(link, namespace=namespace, topic=self.stop_topic)
+            wheels = self._wheels
+            if wheels is None and self.stop_topic is not None:
+                wheels = Wheels(link, namespace=namespace, topic=self.stop_topic)
             if wheels is not None:
                 each.callback(wheels.command, 0.0, 0.0)
             if self._goal is not None:
@@ -267,7 +275,7 @@ class ActionMission(RobotSystem):
         clock = context.clock
         deadline, look_at = clock.now() + self.timeout_s, clock.now() + _LOOK_FOR_SERVER
         name = full_name(robot_namespace(context, self.namespace), self.action)
-        is_listed = name in link.actions()
+        is_listed, told = _is_listed(link, name), 0
         while not goal.status.is_over:
             if goal.fault is not None:
                 raise goal.fault
@@ -275,8 +283,10 @@ class ActionMission(RobotSystem):
             if now >= deadline:
                 return False
             if is_listed and now >= look_at:
-                look_at = now + _LOOK_FOR_SERVER
-                if name not in link.actions() and not goal.status.is_over:
+                look_at, is_silent = now + _LOOK_FOR_SERVER, told == self._of_feedback.count
+                told = self._of_feedback.count
+                # A server that has told feedback is there: asking takes time, in which the goal may end.
+                if is_silent and not _is_listed(link, name, unless_told=True) and not goal.status.is_over:
                     fix = "Look at the log of its node, and start it again."
                     raise LinkError("the action server is gone, and the goal is not over", where=self._where, fix=fix)
             clock.sleep(min(_LOOK, deadline - now))
@@ -306,3 +316,11 @@ class ActionMission(RobotSystem):
             self._cancel()
         except LinkError as error:
             fault.add_note(f"The goal could not be cancelled: {error}")
+
+
+def _is_listed(link: RobotLink, full_name: str, *, unless_told: bool = False) -> bool:
+    """Whether an action is on the graph; `unless_told` where that cannot be asked, as of a rosapi that is busy."""
+    try:
+        return full_name in link.actions()
+    except LinkError:
+        return unless_told

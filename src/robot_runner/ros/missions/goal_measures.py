@@ -112,6 +112,11 @@ class FeedbackMeasures:
         """What they are called."""
         return [each.measure for each in self._taken]
 
+    @property
+    def count(self) -> int:
+        """How many messages came."""
+        return self._count
+
     def begin(self) -> None:
         """Discard the feedback from before."""
         self._count = 0

@@ -16,7 +16,8 @@ from robot_runner.core.links.commanded_topics import TWISTS, VELOCITIES, command
 from robot_runner.core.links.connect import connect_robot, is_simulation, robot_namespace
 from robot_runner.core.links.graph_names import GraphNeed
 from robot_runner.core.links.robot import Advertiser, Qos, RobotLink
-from robot_runner.ros.robot_system import RobotSystem, check_numbers
+from robot_runner.measuring.parameter_checks import check_numbers
+from robot_runner.ros.robot_system import RobotSystem
 from robot_runner.ros.shapes import plain_type
 from robot_runner.ros.sole_control import SoleControl
 from robot_runner.ros.turtlebot3.steered_robot import Heartbeat

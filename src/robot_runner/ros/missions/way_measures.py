@@ -114,7 +114,7 @@ class WayMeasures:
             odometer = Odometer(
                 context.clock, timeout=_SILENCE, where=self._where, fastest=_FASTEST, needs_heading=False
             )
-            self._closing.callback(link.subscribe(self._odometry, ODOMETRY, odometer.take).close)
+            self._closing.callback(link.subscribe(self._odometry, ODOMETRY, odometer.take, is_prompt=True).close)
             odometer.wait(timeout)
             self._way = odometer
             self._rivals = partial(sole_publisher_findings, link, self._odometry, self._where)
@@ -122,7 +122,7 @@ class WayMeasures:
             self._way = _WayOfFrame(self._tf_topic, *self._frames)
             self._way.begin(link, self._closing, context.clock, timeout)
         if self._scan is not None:
-            self._closing.callback(link.subscribe(self._scan, _SCAN, self._take_scan).close)
+            self._closing.callback(link.subscribe(self._scan, _SCAN, self._take_scan, is_prompt=True).close)
 
     def begin_mission(self) -> None:
         """Measure from now on."""
@@ -221,7 +221,7 @@ class _WayOfFrame:
         """Follow the frame until `opened` is closed; raise a `LinkError` if it is not known within the timeout."""
         self._clock = clock
         self._buffer.subscribe(link, opened, topic=self._topic)
-        opened.callback(link.subscribe(self._topic, _TRANSFORMS, self._take).close)
+        opened.callback(link.subscribe(self._topic, _TRANSFORMS, self._take, is_prompt=True).close)
         self._buffer.wait_for(self._fixed, self._moving, clock, timeout=timeout)
 
     def pose(self) -> Transform:

@@ -13,7 +13,7 @@ from robot_runner.core.errors import Finding, LinkError, PluginError
 from robot_runner.core.events.context import RobotRunnerContext
 from robot_runner.core.events.measure import Measure
 from robot_runner.core.links.connect import connect_robot, is_simulated, robot_namespace
-from robot_runner.ros.robot_system import check_numbers
+from robot_runner.measuring.parameter_checks import check_numbers
 from robot_runner.ros.simulators.simulation_system import Simulation
 from robot_runner.ros.turtlebot3.motion import COMMAND_TOPIC, Ramp
 from robot_runner.ros.turtlebot3.odometry import POSE_TOPIC, Odometer, Pose, noise_finding, wrapped

@@ -14,8 +14,9 @@ from robot_runner.core.links.connect import connect_robot, is_simulated, robot_n
 from robot_runner.core.links.graph_names import GraphNeed
 from robot_runner.core.links.robot import RobotLink
 from robot_runner.core.plugin import Circumstances, System
+from robot_runner.measuring.parameter_checks import check_numbers
 from robot_runner.ros.graph_links import follows_graph_clock
-from robot_runner.ros.robot_system import OfTheRobot, check_numbers
+from robot_runner.ros.robot_system import OfTheRobot
 from robot_runner.ros.simulators.simulator_dialects import Demand, Spot, dialect_of
 from robot_runner.ros.simulators.unpausing import guard_pauses, guard_pauses_no_more, unpause_from_elsewhere
 from robot_runner.ros.simulators.watched_pose import WatchedPose, checked_spot
@@ -117,7 +118,7 @@ class Simulation(OfTheRobot, System):
             )
         for each in circumstances.before(self):
             if isinstance(each, System) and not each.starts_nodes and not isinstance(each, Simulation):
-                problem = f"it resets the simulator once {each.name!r}, which is listed before it, has begun its run"
+                problem = f"the simulator is reset once {each.name!r}, which is listed before it, has begun its run"
                 yield Finding.warning(where, problem, f"List {self.name!r} before {each.name!r} in `plugins`.")
 
     def required_graph(self, circumstances: Circumstances) -> Iterable[GraphNeed]:
@@ -298,4 +299,4 @@ class Simulation(OfTheRobot, System):
 
 
 def _went_back(before: float, now: float) -> str:
-    return f"the simulator's time went back from {before:.3f} s to {now:.3f} s during the mission: somebody reset it"
+    return f"the simulator's time went back from {before:.3f} s to {now:.3f} s during the mission: it was reset"

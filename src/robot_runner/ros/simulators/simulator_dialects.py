@@ -42,14 +42,13 @@ class Demand:
         """Call the service.
 
         Raises:
-            LinkError: there is no such service, it does not answer in time, or it says that it did nothing.
+            LinkError: there is no such service, it does not answer in time, or the simulator refuses.
         """
         name = self._awaited(link, namespace, time.monotonic() + timeout)
         refused = self.refusal(link.call(name, self.service_type, self.request, timeout=timeout))
         if refused:
-            raise LinkError(
-                f"the simulator did not do it: {refused}", where=name, fix="Look at the simulator's output."
-            )
+            problem = f"the simulator refuses the request: {refused}"
+            raise LinkError(problem, where=name, fix="Look at the simulator's output.")
 
     def _awaited(self, link: RobotLink, namespace: str, deadline: float) -> str:
         """Return the name of the service, once it is discovered."""

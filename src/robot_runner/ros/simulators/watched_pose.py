@@ -73,7 +73,7 @@ class WatchedPose:
                 fix=f"Name another pose_topic. {did_you_mean(kind, readers)}",
             )
         self._read = readers[kind]
-        self._subscription = link.subscribe(self._name, kind, self._take)
+        self._subscription = link.subscribe(self._name, kind, self._take, is_prompt=True)
 
     def see(self, spot: Spot, *, metres: float, radians: float, timeout: float) -> None:
         """Return once the robot is at this place.

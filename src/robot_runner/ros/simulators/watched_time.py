@@ -39,7 +39,7 @@ class WatchedTime:
         self.factor: float | None = None
         self.slowest: float | None = None
         self.earliest: float | None = None
-        self._subscription = link.subscribe(CLOCK_TOPIC, _TYPE, self._take)
+        self._subscription = link.subscribe(CLOCK_TOPIC, _TYPE, self._take, is_prompt=True)
 
     def now(self, *, timeout: float = 0.0) -> float | None:
         """Return the last simulated time, s; wait for the first, and return None if it does not come in time."""

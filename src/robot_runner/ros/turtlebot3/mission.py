@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, TextIO
 
 from robot_runner.core.errors import LinkError, PluginError
 from robot_runner.core.events.context import Clock
-from robot_runner.ros.robot_system import check_numbers
+from robot_runner.measuring.parameter_checks import check_numbers
 from robot_runner.ros.turtlebot3.motion import MAXIMUM_SPEED, MAXIMUM_TURN_RATE, TICK, Ramp
 
 if TYPE_CHECKING:

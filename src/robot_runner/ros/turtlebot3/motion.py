@@ -42,23 +42,35 @@ class Wheels:
 
     def command(self, speed: float, rate: float) -> None:
         """Move ahead at `speed` in m/s and turn at `rate` in rad/s until the next command."""
-        message_type = self._type or self._subscribed_type()
-        self._link.publish(self._own_topic, message_type, velocity_command(message_type, speed, rate))
+        is_known, message_type = self._type is not None, self._type or self._subscribed_type()
+        try:
+            self._link.publish(self._own_topic, message_type, velocity_command(message_type, speed, rate))
+        except LinkError:  # on a graph that was just joined, the robot may have been discovered meanwhile
+            if is_known or (told := self._subscribed_type()) == message_type:
+                raise
+            self._link.publish(self._own_topic, told, velocity_command(told, speed, rate))
 
-    def get_ready(self) -> None:
-        """Wait for the subscriber of commands: its discovery may take seconds, which must not be measured."""
-        if isinstance(self._link, Advertiser):
-            self._link.advertise(self._own_topic, self._type or self._subscribed_type())
+    def get_ready(self, *, awaits: bool = True) -> None:
+        """Wait for the subscriber of commands: its discovery may take seconds, which must not be measured.
+
+        Args:
+            awaits: whether a subscriber is waited for that nobody has seen yet, and whose type is not known.
+        """
+        message_type = self._type or self._subscribed_type()
+        if isinstance(self._link, Advertiser) and (awaits or self._type is not None):
+            self._link.advertise(self._own_topic, message_type)
 
     def _subscribed_type(self) -> str:
+        known = commanded_type(self._topic)
         try:
-            told = {each.message_type for each in self._link.subscribers(self._topic) if not each.is_own}
+            listening = [each for each in self._link.subscribers(self._topic) if each.may_be_others]
         except LinkError:  # rosapi may have ended, and a robot that was commanded is to be stopped all the same
-            if (known := commanded_type(self._topic)) is None:
+            if known is None:
                 raise
             return known
-        if subscribed := told & TWISTS:
-            self._type = min(subscribed)  # of both, the one that every robot takes
+        subscribed = TWISTS.intersection(each.message_type for each in listening)
+        # Of both, the one that every robot takes. A topic that was commanded keeps its type, whatever subscribes now.
+        self._type = min(subscribed) if subscribed else known
         # Where it is another type, publishing says so; where there is none yet, it is asked for again next time.
         return self._type or TWIST
 

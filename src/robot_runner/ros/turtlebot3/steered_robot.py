@@ -20,9 +20,10 @@ from robot_runner.core.links.graph_names import GraphNeed, full_name, missing
 from robot_runner.core.links.robot import RobotLink
 from robot_runner.core.plugin import Circumstances
 from robot_runner.measuring.live_samples import LiveSamples
+from robot_runner.measuring.parameter_checks import check_numbers
 from robot_runner.ros.graph_look import offer_findings
 from robot_runner.ros.graph_transport import LONGEST_DISCOVERY
-from robot_runner.ros.robot_system import RobotSystem, check_numbers
+from robot_runner.ros.robot_system import RobotSystem
 from robot_runner.ros.sole_control import SoleControl
 from robot_runner.ros.turtlebot3.motion import COMMAND_TOPIC, MAXIMUM_SPEED, MAXIMUM_TURN_RATE, Pilot, Wheels
 from robot_runner.ros.turtlebot3.odometry import ODOMETRY, POSE_TOPIC, Odometer, Trajectory
@@ -232,7 +233,7 @@ class Robot:
         )
         self.tasks = TaskServices(link, namespace)
         self._has_tasks = has_tasks
-        self._subscription = link.subscribe(pose_topic, ODOMETRY, odometer.take)
+        self._subscription = link.subscribe(pose_topic, ODOMETRY, odometer.take, is_prompt=True)
         self._heartbeat = Heartbeat(link)
 
     def is_simulated(self) -> bool:
@@ -245,11 +246,14 @@ class Robot:
         Raises:
             LinkError: they have none, or it subscribes neither type.
         """
-        deadline = self._clock.now() + _LISTING_SECONDS
-        while self._command_topic not in (topics := self._link.topics()):
+        topic, deadline = self._command_topic, self._clock.now() + _LISTING_SECONDS
+        # The topic alone says nothing: others may publish it, also before the robot's subscription is discovered.
+        while not any(each.may_be_others for each in self._link.subscribers(topic)):
             if self._clock.now() >= deadline:
                 fix = "Start the robot's bringup, or correct its namespace."
-                raise missing("topic", self._command_topic, topics, where=where, fix=fix)
+                if topic in (topics := self._link.topics()):
+                    raise LinkError(f"nobody subscribes {topic!r}", where=where, fix=fix)
+                raise missing("topic", topic, topics, where=where, fix=fix)
             self._clock.sleep(_LOOK_PERIOD)
         self._wheels.get_ready()
 
