@@ -99,6 +99,8 @@ class CommandedRobot:
 
     def look_at_last(self) -> None:
         """Look once more before the software is ended: in a short run its graph may not be known yet."""
+        if self._link is None:
+            return
         if not self._commanded:
             time.sleep(max(0.0, self._known_at - time.monotonic()))
         looking = threading.Thread(target=self.look, name="look at the robot", daemon=True)
