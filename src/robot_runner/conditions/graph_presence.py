@@ -30,7 +30,7 @@ def node_present(node: str, *, namespace: str = "") -> Condition:
         >>> print(node_present("move_base"))
         the node /move_base is there
     """
-    return _Present("node", _checked(node), namespace)
+    return _Present("node", checked_name(node, namespace), namespace)
 
 
 def topic_present(topic: str, message_type: str | None = None, *, namespace: str = "") -> Condition:
@@ -53,12 +53,12 @@ def topic_present(topic: str, message_type: str | None = None, *, namespace: str
     """
     if message_type is not None:
         check_type_named(message_type, where=topic)
-    return _Present("topic", _checked(topic), namespace, message_type)
+    return _Present("topic", checked_name(topic, namespace), namespace, message_type)
 
 
 def service_present(service: str, *, namespace: str = "") -> Condition:
     """Return the condition that a service is on the robot's graph; as `node_present`."""
-    return _Present("service", _checked(service), namespace)
+    return _Present("service", checked_name(service, namespace), namespace)
 
 
 def lifecycle_state(node: str, state: str = "active", *, namespace: str = "") -> Condition:
@@ -79,11 +79,15 @@ def lifecycle_state(node: str, state: str = "active", *, namespace: str = "") ->
     """
     if state not in _STATES:
         raise ConditionError(f"{state!r} is not a state of a node", where=node, fix=did_you_mean(str(state), _STATES))
-    return _InState(_checked(node), state, namespace)
+    return _InState(checked_name(node, namespace), state, namespace)
 
 
-def _checked(name: str) -> str:
-    full_name("", name)
+def checked_name(name: str, namespace: str) -> str:
+    """Return a name; a `ConditionError` says that it or its namespace is no text, a `LinkError` that it is no name."""
+    for each in (name, namespace):
+        if not isinstance(each, str):
+            raise ConditionError(f"{each!r} is not a name", where="condition", fix="Give a text.")
+    full_name(namespace, name)
     return name
 
 

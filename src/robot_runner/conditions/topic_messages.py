@@ -12,7 +12,7 @@ from pathlib import Path
 from robot_runner.conditions.bounds import Bound, Quantity, Reading
 from robot_runner.conditions.computer_state import ComputerBattery
 from robot_runner.conditions.computers import ComputerName
-from robot_runner.conditions.graph_presence import check_robot_named, check_type_named
+from robot_runner.conditions.graph_presence import check_robot_named, check_type_named, checked_name
 from robot_runner.core.design.numeric_range import is_number
 from robot_runner.core.errors import ConditionError, Finding, LinkError
 from robot_runner.core.events.condition import Condition, Look, LookAgain
@@ -201,7 +201,7 @@ class _MessageOn(Condition):
     namespace: str
 
     def __post_init__(self) -> None:
-        full_name(self.namespace, self.topic)
+        checked_name(self.topic, self.namespace)
         check_type_named(self.message_type, where=self.topic)
 
     def __str__(self) -> str:
@@ -271,7 +271,7 @@ class _TopicField(Quantity):
     within_s: float
 
     def __post_init__(self) -> None:
-        full_name(self.namespace, self.topic)
+        checked_name(self.topic, self.namespace)
         check_type_named(self.message_type, where=self.topic)
         if not isinstance(self.field, str) or not self.field:
             fix = "Name it with dots: 'pose.pose.position.x'."

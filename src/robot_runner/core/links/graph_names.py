@@ -29,7 +29,8 @@ def namespace_prefix(namespace: str) -> str:
         >>> namespace_prefix("alice"), namespace_prefix("/"), namespace_prefix("")
         ('/alice', '', '')
     """
-    if not isinstance(namespace, str) or ((name := namespace.strip("/")) and _LEGAL.fullmatch(name) is None):
+    name = namespace.strip("/")
+    if name and _LEGAL.fullmatch(name) is None:
         raise _illegal("namespace", namespace)
     return f"/{name}" if name else ""
 
@@ -44,7 +45,7 @@ def full_name(namespace: str, name: str) -> str:
         >>> full_name("/alice", "odom"), full_name("/alice", "/map"), full_name("", "odom")
         ('/alice/odom', '/map', '/odom')
     """
-    if not isinstance(name, str) or _LEGAL.fullmatch(name) is None:
+    if _LEGAL.fullmatch(name) is None:
         raise _illegal("topic or service", name)
     return name if name.startswith("/") else f"{namespace_prefix(namespace)}/{name}"
 
