@@ -10,6 +10,7 @@ from tests.ros.dds_domain import LOOPBACK, claim_domain
 
 from robot_runner.core.config.preparation import prepare
 from robot_runner.core.events.context import SystemClock
+from robot_runner.ros import graph_look
 from robot_runner.ros.link_opening import open_dds_link, open_rosbridge_link
 from robot_runner.testing import LifecycleNode, ParameterNode, RosbridgeServer
 
@@ -30,7 +31,9 @@ TABLE = """\
 
 
 @pytest.fixture
-def found(write_config):
+def found(write_config, monkeypatch):
+    monkeypatch.setattr(graph_look, "_SECONDS", 60.0)  # on a busy machine, discovery alone takes long
+
     def check(robot, *plugins):
         config = write_config(f"plugins = [{', '.join(plugins)}]", head=HEAD, table=TABLE)
         return [f"{'! ' if each.is_error else ''}{each}" for each in prepare(config, {"robot": robot}).findings]
