@@ -454,6 +454,19 @@ def test_values_some_of_which_are_texts_are_not_compared(make_folder):
         assert "values that are not numbers" in difference.not_computed
 
 
+def test_what_one_experiment_does_not_measure_is_told(make_folder):
+    rows = [("a", value, value + 1) for value in (1.0, 1.5, 2.0)]
+    one = make_folder(factors={"T": ["a"]}, rows=rows, measures={"E": "J", "time_s": "s"}, name="one").root
+    other = make_folder(factors={"T": ["a"]}, rows=rows, measures={"E": "J", "time_ms": "ms"}, name="other").root
+    assert compare(one, other, bound="5%").notes == (
+        "Only one has time_s, not compared.",
+        "Only other has time_ms, not compared.",
+        "If measures of other names are the same, say so: --measure time_s=time_ms.",
+    )
+    assert not compare(one, other, measures="E").notes, "as the user says"
+    assert not any("not compared" in note for note in compare(one, one).notes)
+
+
 def test_what_is_text_in_both_leaves_the_verdict_to_the_numbers(make_folder):
     rows = [("a", value, "left") for value in (1.0, 1.001, 1.002)]
     made = {"factors": {"T": ["a"]}, "measures": {"E": "J", "Robot": ""}, "types": {"Robot": "string"}}

@@ -175,6 +175,18 @@ SHAPES = {
         made("__run_id,__done,task,energy,success", TASK, 5, success="true", **IDS),
         "id=__run_id done=__done rep=@ F=task M=energy+success",
     ),
+    "whether it worked, before the measures and without repetitions": (
+        made("task,speed,success,energy", TASK | SPEED, 4, success="{truth}"),
+        "F=task+speed+success M=energy ?=success",
+    ),
+    "whether it crashed, as 0 and 1, before the measures": (
+        made("task,has_crashed,energy", TASK, 8, has_crashed="{even}"),
+        "F=task+has_crashed M=energy ?=has_crashed",
+    ),
+    "what is on, before the measures": (
+        made("task,gpu,energy", TASK, 8, gpu="{truth}"),
+        "F=task+gpu M=energy",
+    ),
     "whether it was reached, between the measures and about every second time": (
         made("task,mode,rep,energy,ok,docked,way_m", MODES, 5, **OUTCOMES),
         "rep=rep F=task+mode M=energy+ok+docked+way_m",
@@ -215,7 +227,7 @@ SHAPES = {
     ),
     "whether it was reached, as numbers": (
         made("task,steps,reached", TASK, 8, steps="{q}", reached="{even}"),
-        "F=task+steps+reached ?=steps",
+        "F=task+steps+reached ?=steps+reached",
     ),
     "many steps, and whether it was reached": (
         made("task,steps,reached", TASK, 8, steps="{x:.0f}", reached="{q}"),

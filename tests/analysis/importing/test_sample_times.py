@@ -6,6 +6,7 @@ import pyarrow as pa
 import pytest
 
 from robot_runner.analysis.importing.sample_times import TimeKind, nanoseconds_of, time_kind, time_unit
+from robot_runner.core.errors import AnalysisError
 
 
 def test_a_time_of_day_that_is_missing_begins_no_other_day():
@@ -35,6 +36,16 @@ def test_times_are_in_the_unit_of_their_heading_however_long_the_computer_has_be
     times = pa.chunked_array([[first, first + 1]])
     assert time_unit(heading, times, "power.csv") == unit
     assert time_kind(unit, times) is kind
+
+
+@pytest.mark.parametrize("first", [40_000_000, 400_000_000, 1_900_000_000])  # 1900 s after the start: like 2030 in s
+def test_times_that_would_be_days_apart_in_seconds_are_not_taken_for_seconds(first):
+    """PX4 counts microseconds since the start of the autopilot, and its headings do not say so."""
+    times = pa.chunked_array([[first + place * 100_000 for place in range(5)]])
+    with pytest.raises(AnalysisError, match="the times in timestamp are 100,000 apart, so not in s") as raised:
+        time_unit("timestamp", times, "battery.csv")
+    assert raised.value.fix == "Say their unit: --samples battery.csv:timestamp:us, or ms."
+    assert time_unit("timestamp", pa.chunked_array([[first, first + 1, first + 60]]), "battery.csv") == "s"
 
 
 @pytest.mark.parametrize(

@@ -253,6 +253,15 @@ def test_yes_and_no_are_known_in_other_languages(tmp_path, yes_and_no):
     assert [run.measures["success"] for run in found.runs] == [word == yes for word in said]
 
 
+@pytest.mark.parametrize(("success", "is_noted"), [("1 0 1 1 0 1 1 1", True), ("1 0 2 1 0 1 1 1", False)])
+def test_numbers_that_may_be_yes_and_no_are_noted(tmp_path, success, is_noted):
+    rows = "".join(f"{'ab'[place % 2]},{place // 2},{cell},{place}.5\n" for place, cell in enumerate(success.split()))
+    told = (
+        "success is 0 or 1 in all runs: if that is no and yes, write False and True, so that proportions are compared"
+    )
+    assert (told in table_only(tmp_path, f"policy,trial,success,time\n{rows}").notes) is is_noted
+
+
 def test_a_title_in_the_first_cell_of_the_first_row_is_no_heading(tmp_path):
     with pytest.raises(AnalysisError, match="only the first has a heading, 'Study of May'") as raised:
         table_only(tmp_path, "Study of May;;\ntask;energy;time\na;1,5;3\n")
@@ -268,6 +277,75 @@ def test_a_negative_number_of_nines_among_positive_ones_is_noted(tmp_path):
 def test_units_in_a_row_of_their_own_are_asked_about(tmp_path):
     (question,) = table_only(tmp_path, "task,energy,time\n,J,[ms]\na,1.5,3\na,2.5,4\nb,2.25,5\nb,3.5,6\n").questions
     assert question.problem == "line 2 has units rather than values (J and [ms])"
+
+
+def test_a_second_heading_is_asked_about(tmp_path):
+    text = ",,DWB,,MPPI,\nrobot,no,energy_J,time_s,energy_J,time_s\n"
+    rows = "".join(f"{'ab'[place % 2]},{place},{place}.5,1.{place},{place}.75,2.{place}\n" for place in range(1, 7))
+    (question,) = table_only(tmp_path, text + rows).questions
+    assert question.problem == "line 2 has words rather than values ('energy_J' and 'energy_J')"
+    assert question.fix == "Write one heading above each column, and remove the line; of a run, leave the cells empty."
+
+
+def test_a_first_run_with_one_number_is_a_run(tmp_path):
+    text = "task,energy,time\na,failed,3.5\na,2.5,4.5\nb,2.25,5.5\nb,3.5,6.5\n"
+    assert not table_only(tmp_path, text).questions
+
+
+@pytest.mark.parametrize(
+    ("name", "units", "asked"),
+    [
+        ("time_unit", "us ms", True),
+        ("Unit", "ns/op us/op", True),
+        ("time_unit", "ms ms", False),
+        ("unit", "robot_1 robot_2", False),
+    ],
+)
+def test_whether_numbers_in_several_units_are_to_be_compared_is_asked(tmp_path, name, units, asked):
+    """Google Benchmark and JMH write the unit of each row into a column."""
+    first, second = units.split()
+    rows = "".join(f"plan,{900 + place}.5,{first}\nmap,1.{place},{second}\n" for place in range(5))
+    found = table_only(tmp_path, f"benchmark,score,{name}\n{rows}")
+    told = [question for question in found.questions if "units" in question.problem]
+    assert bool(told) is asked
+    if asked:
+        assert told[0].problem == f"column {name!r} has several units ({first}, {second}), which are not converted"
+        assert told[0].fix == f"Write the numbers of each column in one unit, or say --ignore {name}."
+        assert not table_only(tmp_path, f"benchmark,score,{name}\n{rows}", ignore=(name,)).questions
+
+
+def test_whether_quantities_in_one_column_are_to_be_compared_is_asked(tmp_path):
+    rows = "".join(f"{planner},{n},{metric},{n}.5\n" for n in (1, 2) for planner in "ab" for metric in ("time", "path"))
+    (question,) = table_only(tmp_path, f"planner,trial,metric,value\n{rows}").questions
+    assert question.problem == "column 'metric' names what the numbers beside it are (time, path)"
+    assert question.fix == "Write a column for each; if they are treatments, say --factor metric."
+    assert not table_only(tmp_path, f"planner,trial,metric,value\n{rows}", factors=("metric",)).questions
+
+
+def test_whether_rows_between_the_runs_sum_them_up_is_asked(tmp_path):
+    """Google Benchmark writes aggregates behind the repetitions, Excel subtotals behind each group."""
+    runs = [f"{name},{place}.5" for name in ("BM_plan", "BM_map") for place in range(4)]
+    rows = [*runs[:4], "BM_plan_mean,2.0", "BM_plan_stddev,1.29", *runs[4:], "BM_map mean,2.0"]
+    (question,) = table_only(tmp_path, "\n".join(["name,real_time", *rows])).questions
+    assert question.problem == "3 lines, such as line 6 with 'BM_plan_mean' for name, sum up other runs"
+    assert question.fix == "Remove the lines; if they are runs, say --factor name."
+    assert not table_only(tmp_path, "\n".join(["name,real_time", *rows]), factors=("name",)).questions
+
+
+def test_merged_cells_are_asked_about(tmp_path):
+    rows = [f"{'ab'[n // 6] if n % 6 == 0 else ''},{'xy'[n // 3 % 2] if n % 3 == 0 else ''},{n}.5" for n in range(12)]
+    found = table_only(tmp_path, "\n".join(["robot,planner,energy", *rows]))
+    assert [question.problem for question in found.questions] == [
+        "column 'robot' is kept as text: text in the first of 6 rows alone, as merged cells are saved: fill it down",
+        "column 'planner' is kept as text: text in the first of 3 rows alone, as merged cells are saved: fill it down",
+    ]
+    assert not table_only(tmp_path, "task,remark,energy\na,fell,1.5\na,,2.5\nb,,3.5\nb,,1.25\n").questions
+
+
+def test_that_nothing_is_compared_is_noted(tmp_path):
+    told = "no column is taken for a factor: nothing is compared. Name one with --factor"
+    found = table_only(tmp_path, "seed,navfn_s,smac_s\n0,40.5,42.25\n1,41.5,43.5\n2,39.75,41.0\n")
+    assert f"{told}; of treatments with a column each, write a row for each" in found.notes
 
 
 def test_a_title_above_the_heading_is_refused_whatever_stands_between_the_cells(tmp_path):
@@ -301,7 +379,24 @@ def test_nines_that_may_stand_for_a_missing_value_are_noted(tmp_path, cells, tol
     assert (note in found.notes) is told
 
 
-@pytest.mark.parametrize("cells", ["-99 -101.5 -80 -120", "999 1001 850 720", "99 98.5 97 1.5", "-999 -999 -999 -999"])
+def test_minus_one_among_large_numbers_is_noted(tmp_path):
+    cells = ("28.5", "-1.00", "31.25", "-1", "0.5", "29.75")
+    rows = "".join(f"{'ab'[place % 2]},{cell}\n" for place, cell in enumerate(cells))
+    told = "time_s is -1 in 2 runs, and no other is below 0: a missing value? Then leave these cells empty"
+    assert told in table_only(tmp_path, f"planner,time_s\n{rows}").notes
+
+
+@pytest.mark.parametrize(
+    "cells",
+    [
+        "-99 -101.5 -80 -120",
+        "999 1001 850 720",
+        "99 98.5 97 1.5",
+        "-999 -999 -999 -999",
+        "-1 0.5 1 0.25",
+        "-1 -2.5 30 20",
+    ],
+)
 def test_nines_among_numbers_like_them_are_numbers(tmp_path, cells):
     rows = "".join(f"run_{place},DONE,{'ab'[place % 2]},{cell}\n" for place, cell in enumerate(cells.split()))
     assert not any("missing value" in note for note in table_only(tmp_path, f"__run_id,__done,task,e\n{rows}").notes)

@@ -43,6 +43,7 @@ from robot_runner.analysis.comparison.matching import (
     in_unit,
     match_runs,
     names_of,
+    notes_on_left_out,
     of_one_quantity,
     why_incomparable,
 )
@@ -112,12 +113,10 @@ def compare(
     is_same, names = ours.folder == theirs.folder, names_of(ours, theirs)
     labels = chosen[0] if is_same and len(chosen) == 1 and len(set(chosen[0])) > 1 else names
     called = (ours.name, theirs.name) if is_same else names
-    shared = [name for name in ours.measures if measures is None and name in theirs.measures]
-    texts = [name for name in shared if (name, name) not in chosen]
     notes = [
         *_notes_on_searches(called, given),
         *matching.notes,
-        *([f"No means are compared of what is text in both: {listed(texts)}."] if texts else []),
+        *(notes_on_left_out(called, (ours, theirs), chosen) if measures is None else ()),
         *_notes_on_values((ours, theirs), called, chosen),
         *(
             f"Of {name}, {why}."

@@ -134,6 +134,21 @@ def chosen_measures(first: Results, second: Results, wanted: str | Sequence[str]
     return [_named(first, second, text) for text in several(wanted)]
 
 
+def notes_on_left_out(
+    called: Sequence[str], experiments: Sequence[Results], chosen: Sequence[tuple[str, str]]
+) -> Iterator[str]:
+    """Yield notes on measures that are not compared where none was asked for: texts, and those that one lacks."""
+    shared = set.intersection(*(set(each.measures) for each in experiments))
+    if texts := [name for name in experiments[0].measures if name in shared and (name, name) not in chosen]:
+        yield f"No means are compared of what is text in both: {listed(texts)}."
+    own = [[name for name in each.measures if name not in shared and not are_texts(each, name)] for each in experiments]
+    yield from (
+        f"Only {name} has {listed(each)}, not compared." for name, each in zip(called, own, strict=True) if each
+    )
+    if all(own):
+        yield f"If measures of other names are the same, say so: --measure {own[0][0]}={own[1][0]}."
+
+
 def _named(first: Results, second: Results, text: str) -> tuple[str, str]:
     if text in first.measures and text in second.measures:  # a name may contain =
         return text, text

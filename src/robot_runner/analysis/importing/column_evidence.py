@@ -93,6 +93,8 @@ _MEASURED = re.compile(
     r"mean|median|std|sd|min|max|total|sum|misses|voltage|current|packets?|loss|fps|distance|collisions?|success|"
     r"failures?|battery|dram|exit|rate|ratio|count|freq\w*"
 )
+#: Words in the headings of what a run brought about, as yes or no.
+_OUTCOME = re.compile(r"success\w*|succeeded|fail\w*|reached|collisions?|collided|crash\w*|solved|timeout")
 _WORDS_OF_HEADING = re.compile(r"[A-Z]?[a-z]+\d?|[A-Z]+")
 #: Headings of columns that number rows.
 NUMBERING = re.compile(r"(.*[_ ])?(id|index|idx|no|nr|number|num|#)\.?|unnamed: ?\d+|n", re.IGNORECASE)
@@ -226,6 +228,10 @@ class ColumnEvidence:
         unit = self.table.unit(name)
         words = (word.casefold() for word in _WORDS_OF_HEADING.findall(name))
         return (unit is not None and unit.si != "1") or any(map(_MEASURED.fullmatch, words))
+
+    def names_outcome(self, name: str) -> bool:
+        """Return whether the heading names what comes of a run, such as success."""
+        return any(_OUTCOME.fullmatch(word.casefold()) for word in _WORDS_OF_HEADING.findall(name))
 
     # Run ids and repetitions.
 

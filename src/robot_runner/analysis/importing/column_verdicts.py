@@ -156,7 +156,8 @@ class ColumnVerdicts(ColumnEvidence):
         if is_first and differs and repetition is not None and self.levels(repetition) > _FEW_REPETITIONS:
             return Role.FACTOR, Confidence.UNSURE, "truth values that differ between repetitions: an outcome?"
         if is_first:
-            return Role.FACTOR, Confidence.SURE, "truth values before the measures"
+            doubt = (Confidence.UNSURE, ": an outcome?") if self.names_outcome(name) else (Confidence.SURE, "")
+            return Role.FACTOR, doubt[0], f"truth values before the measures{doubt[1]}"
         if self.is_even(name):
             return Role.FACTOR, Confidence.UNSURE, "truth values after the measures, about equally often"
         return Role.MEASURE, Confidence.LIKELY, "truth values after the measures"
@@ -186,10 +187,19 @@ class ColumnVerdicts(ColumnEvidence):
 
     def _of_gaps(self, name: str, *, is_first: bool) -> Verdict:
         """Return the verdict on a text that some runs lack."""
+        if is_first and (rows := self._rows_of_merged_cells(name)):
+            reason = f"text in the first of {rows} rows alone, as merged cells are saved: fill it down"
+            return Role.TEXT, Confidence.UNSURE, reason
         is_few = self.levels(name) <= max(2, self.count // 2)
         if is_first and is_few and self.is_even(name) and not self.varies(name):
             return Role.FACTOR, Confidence.UNSURE, "text that as many runs lack: is an empty cell a treatment?"
         return Role.TEXT, Confidence.LIKELY, "text that some runs lack"
+
+    def _rows_of_merged_cells(self, name: str) -> int:
+        """Return how many rows each filled cell stands for, if all stand at equal distances; 0 otherwise."""
+        filled = [place for place, cell in enumerate(self.table.column(name)) if cell]
+        rows = filled[1] if len(filled) > 1 else 0
+        return rows if rows > 1 and filled == list(range(0, self.count, rows)) else 0
 
     def _numbers(
         self, name: str, others: Sequence[str], repetition: str | None, *, is_first: bool
@@ -228,6 +238,8 @@ class ColumnVerdicts(ColumnEvidence):
                 Confidence.UNSURE,
                 f"{levels} numbers, evenly repeated: do they count or name something?",
             )
+        if is_first and even and levels == 2 and self.names_outcome(name):  # noqa: PLR2004 - no and yes
+            return Role.FACTOR, Confidence.UNSURE, f"{levels} numbers before the measures: an outcome?"
         if is_first and even and levels <= _MANY_TREATMENTS:
             return Role.FACTOR, (Confidence.LIKELY if named else Confidence.SURE), f"{levels} numbers, evenly repeated"
         if not is_first or named or levels > _MANY_TREATMENTS:

@@ -166,7 +166,7 @@ def _repetitions(
         if None in numbers:
             place = numbers.index(None)
             where = f"{table.path}:{table.lines[place]}, column {roles.repetition!r}"
-            fix = "Correct it, or name the column a factor: --factor."
+            fix = "Correct it, remove the line if it sums up others, or name the column a factor: --factor."
             raise AnalysisError(f"{cells[place]!r} is not a repetition number", where=where, fix=fix)
     if 0 in numbers:
         notes.append("repetitions are numbered from 1 here, not from 0")
@@ -224,6 +224,9 @@ def _run_notes(table: ForeignTable, roles: ColumnRoles, runs: Sequence[ForeignRu
         if texts and any(isinstance(run.measures[name], int | float) for run in runs):
             told = f"{name} is text in {counted(len(texts), 'run')}, such as {texts[0]}: no statistics of it"
             notes.append(f"{told}. Where a value is missing, leave the cell empty")
+        if {run.measures[name] for run in runs} - {None} == {0, 1} and table.is_numeric(name):
+            told = f"{name} is 0 or 1 in all runs: if that is no and yes"
+            notes.append(f"{told}, write False and True, so that proportions are compared")
         notes += _nines(name, [run.measures[name] for run in runs])
         unit = table.unit(name)
         if _ENERGY.search(name) or (unit is not None and unit.si == "J"):
@@ -270,20 +273,23 @@ def _missing_treatments(name: str, treatments: Mapping[str, int]) -> Iterator[st
             yield f"{told}. If it is missing, fill it in, or leave these runs out"
 
 
-#: Numbers of nines alone, by which programs tell that there is none, and how far they are from all others then.
-_NINES = re.compile(r"-9{2,}|9{4,}")
+#: Minus one, or nines alone, by which programs tell that there is none, and how far it is from all others then.
+_NINES = re.compile(r"-1|-9{2,}|9{4,}")
 _FAR = 10
 
 
 def _nines(name: str, values: Sequence[object]) -> Iterator[str]:
-    """Say which nines stand rather for a missing value: those that are far from all other numbers of a measure."""
+    """Say which nines, or minus one, stand rather for a missing value: far from all other numbers of a measure."""
     numbers = Counter(float(value) for value in values if isinstance(value, int | float))
     nines = [number for number in numbers if _NINES.fullmatch(f"{number:.0f}") and number == int(number)]
     others = [number for number in numbers if number not in nines]
     for number in nines:
-        is_far = others and abs(number) >= _FAR * max(map(abs, others))
-        if is_far or (others and number < 0 <= min(others)):
-            told = f"{name} is {number:.0f} in {counted(numbers[number], 'run')}, far from all others"
+        most = max(map(abs, others), default=number)
+        is_far = abs(number) >= _FAR * most
+        is_alone = number < 0 <= min(others, default=number)
+        if is_far or (is_alone and (number < -1 or most >= _FAR)):
+            why = "and no other is below 0" if number == -1 and not is_far else "far from all others"
+            told = f"{name} is {number:.0f} in {counted(numbers[number], 'run')}, {why}"
             yield f"{told}: a missing value? Then leave these cells empty"
 
 

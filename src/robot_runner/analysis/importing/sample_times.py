@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shlex
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
@@ -32,6 +33,8 @@ _LATEST = 2**63  # ns since 1970 that fit into 64 bits, until 2262: a heading wi
 _CLOCK = re.compile(r"\d{1,2}:\d\d:\d\d(\.\d+)?")
 #: The directives of a format that tell the time of day, and the ones of these that tell the hour.
 _DIRECTIVE, _OF_DAY, _OF_HOUR = re.compile(r"%[-#]?(.)"), frozenset("HIpMSfzZTRXr%"), frozenset("HITRXr")
+#: No meter of a run samples so rarely, s: such times are rather milli- or microseconds, as PX4's since it started.
+_LONGEST_STEP = 1000
 _LOOKED_AT = 20  # texts of a column that are examined to recognise its format
 
 
@@ -68,7 +71,7 @@ def time_unit(heading: str, column: pa.ChunkedArray, where: str) -> str:
     """Guess the unit of times, `iso` or `clock`, from the heading and the values.
 
     Raises:
-        AnalysisError: the values do not look like times.
+        AnalysisError: the values do not look like times, or not like those of any one unit.
     """
     if pa.types.is_timestamp(column.type):
         return "iso"
@@ -80,7 +83,13 @@ def time_unit(heading: str, column: pa.ChunkedArray, where: str) -> str:
         named = split_heading(heading)[1]
         if named and named.symbol in TIME_UNITS and first * _NANOSECONDS[named.symbol] < _LATEST:
             return named.symbol
-        return next((unit for unit, least in _EPOCHS.items() if first >= least), "s")
+        unit = next((unit for unit, least in _EPOCHS.items() if first >= least), "s")
+        step = float(np.median(np.diff(values[:_LOOKED_AT].to_numpy()))) if len(values) > 1 else 0.0
+        if unit == "s" and step >= _LONGEST_STEP:
+            option = f"--samples {shlex.quote(f'{where}:{heading}:us')}"
+            problem = f"the times in {heading} are {step:,.0f} apart, so not in s: if in us, {option}"
+            raise AnalysisError(problem, where=where, fix=f"Say their unit: {option}, or ms.")
+        return unit
     parsed = pd.to_datetime(_texts(values), errors="coerce", format="ISO8601")
     if not len(parsed) or parsed.isna().any():
         raise AnalysisError(f"the times in {heading} cannot be read", where=where, fix="Give time_unit.")

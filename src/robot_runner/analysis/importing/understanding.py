@@ -23,15 +23,21 @@ from robot_runner.analysis.importing.units import Unit, unit_of
 from robot_runner.core.design.columns import REPETITION, is_fit_for_heading, name_findings
 from robot_runner.core.errors import AnalysisError, Finding, StorageError, did_you_mean
 from robot_runner.core.storage.cells import number_of
-from robot_runner.core.words import counted, enumerated, one_line
+from robot_runner.core.words import counted, enumerated, listed, one_line
 
 _TABLE = "run_table.csv"
 _SHOWN_TABLES = 10
+_SHOWN_CELLS = 4
 #: What spreadsheets write before the means and sums under a table, in small letters.
 _SUMMARIES = (
     "mean average avg median total sum min max minimum maximum sd std stdev stddev variance mittelwert durchschnitt mw "
     "summe gesamt standardabweichung stabw moyenne somme media promedio suma somma gemiddelde totaal"
 )
+#: What benchmarks and subtotals write behind the name of the runs that a row sums up: `BM_plan_mean`, `Husky Total`.
+_SUMMARY = re.compile(rf"(.+)[ _](?:{_SUMMARIES.replace(' ', '|')}|cv|count|ergebnis)", re.IGNORECASE)
+#: Headings of columns that say in which unit, or of which quantity, the numbers beside them are; in small letters.
+_OF_UNITS = re.compile(r"(.*[_ ])?units?")
+_OF_QUANTITIES = re.compile(r"(metric|measure|measurement|quantity|variable|indicator|kpi)s?[_ ]?(name|type)?")
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,16 +81,45 @@ class Understanding:
             if name in {*self.roles.measures, *self.roles.design}:
                 fix = "Say which the decimal sign is: --decimal point or --decimal comma."
                 found.append(Finding.error(where, f"numbers of column {name!r} can be read in two ways: {doubt}", fix))
-        return (*found, *self._odd_rows(where))
+        return (*found, *self._odd_columns(where), *self._odd_rows(where))
+
+    def _odd_columns(self, where: str) -> Iterator[Finding]:
+        """Yield an error for each column by which the numbers beside it are not of one kind, or rows not all runs."""
+        table, said = self.table, self.said
+        kept = {*(said.factors or ()), *(said.measures or ()), *said.ignore, said.block, said.run_id}
+        for name in (each for each in table.headings if each not in kept and not table.is_numeric(each)):
+            cells = dict.fromkeys(filter(None, table.column(name)))
+            quoted, several, shown = shlex.quote(name), len(cells) > 1, listed(cells, shown=_SHOWN_CELLS)
+            if several and _OF_UNITS.fullmatch(name.casefold()) and any(map(unit_of, cells)):
+                problem = f"column {name!r} has several units ({shown}), which are not converted"
+                fix = f"Write the numbers of each column in one unit, or say --ignore {quoted}."
+                yield Finding.error(where, problem, fix)
+            if several and _OF_QUANTITIES.fullmatch(name.casefold()) and name in self.roles.factors:
+                problem = f"column {name!r} names what the numbers beside it are ({shown})"
+                fix = f"Write a column for each; if they are treatments, say --factor {quoted}."
+                yield Finding.error(where, problem, fix)
+            sums = {cell for cell in cells if (summary := _SUMMARY.fullmatch(cell)) and summary[1] in cells}
+            lines = [place for place, cell in enumerate(table.column(name)) if cell in sums]
+            if lines:
+                example = f"line {table.lines[lines[0]]} with {table.column(name)[lines[0]]!r} for {name}"
+                problem = f"{counted(len(lines), 'line')}, such as {example}, sum up other runs"
+                yield Finding.error(where, problem, f"Remove the lines; if they are runs, say --factor {quoted}.")
 
     def _odd_rows(self, where: str) -> Iterator[Finding]:
-        """Yield an error for each row that rather has units, or sums up the runs above it."""
+        """Yield an error for each row that rather has headings or units, or sums up the runs above it."""
         table, said = self.table, self.said
         measures = [place for place, name in enumerate(table.headings) if name in self.roles.measures]
         units = [table.rows[0][place] for place in measures if unit_of(table.rows[0][place].strip("[]()"))]
-        if units and not any(table.number(cell) is not None for cell in table.rows[0]):
-            problem = f"line {table.lines[0]} has units rather than values ({enumerated(units)})"
-            yield Finding.error(where, problem, "Write them into the heading, as in 'Energy (J)', and remove the line.")
+        texts = [table.rows[0][place] for place in measures if not self._says_truth(table.headings[place])]
+        if not any(table.number(cell) is not None for cell in table.rows[0]):
+            if units:
+                problem = f"line {table.lines[0]} has units rather than values ({enumerated(units)})"
+                fix = "Write them into the heading, as in 'Energy (J)', and remove the line."
+                yield Finding.error(where, problem, fix)
+            elif len(texts) > 1 and all(texts):
+                problem = f"line {table.lines[0]} has words rather than values ({enumerated(list(map(repr, texts)))})"
+                fix = "Write one heading above each column, and remove the line; of a run, leave the cells empty."
+                yield Finding.error(where, problem, fix)
         settled = {said.run_id, *(said.factors or ()), *(said.measures or ()), *said.ignore}
         open_columns = [place for place, name in enumerate(table.headings) if name not in settled]
         for row, line in zip(reversed(table.rows), reversed(table.lines), strict=True):
@@ -95,6 +130,9 @@ class Understanding:
             option = "--run-id" if name == self.roles.run_id else "--factor"
             fix = f"Remove the line; if it is a run, say {option} {shlex.quote(name)}."
             yield Finding.error(where, problem, fix)
+
+    def _says_truth(self, name: str) -> bool:
+        return self.table.is_boolean(name) or self.table.says_yes_or_no(name)
 
     @property
     def design_words(self) -> str:
@@ -206,6 +244,9 @@ def understand(root: Path, said: ImportDescription) -> Understanding:
     computed = [each.measure for each in said.recipes if each.measure not in units]
     if not units and not computed:
         notes.append("no column is taken for a measure: nothing can be analysed. Name one with --measure")
+    if not roles.factors and len(units) > 1:
+        told = "no column is taken for a factor: nothing is compared. Name one with --factor"
+        notes.append(f"{told}; of treatments with a column each, write a row for each")
     return Understanding(
         root=root,
         name=said.name or re.sub(r"[^A-Za-z0-9 ._-]+", "_", root.resolve().name).strip(" ._-")[:128] or "imported",
