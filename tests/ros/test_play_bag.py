@@ -13,6 +13,7 @@ from contextlib import closing
 from itertools import pairwise
 
 import pytest
+import yaml
 from rosbags.rosbag1 import Writer
 from tests.ros.dds_domain import LOOPBACK, claim_domain
 from tests.ros.recordings import BEGIN_NS, PERIOD_NS, scans_of_ros1, scans_of_ros2
@@ -29,7 +30,7 @@ from robot_runner.ros.bag_file import new_bag
 from robot_runner.ros.link_opening import open_dds_link, open_ros1_link
 from robot_runner.ros.play_bag import PlayBag
 from robot_runner.ros.recorded_bag import RecordedBag
-from robot_runner.ros.shapes import completed
+from robot_runner.ros.shapes import completed, stamp_of
 from robot_runner.ros.type_catalogue import TypeCatalogue
 from robot_runner.testing import FakeClock, FakeLinks, FakeRobotLink, SystemContract, make_context, rehearse
 
@@ -150,6 +151,23 @@ def test_one_file_of_a_bag_that_was_split_and_a_time_in_it_are_told(tmp_path):
     assert "which this plugin tells" in clocks
 
 
+@pytest.mark.parametrize(("ahead_s", "topics"), [(0, None), (-BEGIN_NS // 10**9, None), (-1000, ["/scan"])])
+def test_a_bag_of_a_simulation_is_told_whose_own_time_is_another_than_that_of_its_recording(tmp_path, ahead_s, topics):
+    """Nodes lived at the time of day, and had data of the simulation's first seconds: they dropped all of it."""
+    types, bag = TypeCatalogue.of(2), new_bag(tmp_path, Encoding.CDR)
+    for name, kind in {"/clock": "rosgraph_msgs/Clock", "/scan": SCAN}.items():
+        told = {"clock": stamp_of(BEGIN_NS + ahead_s * 10**9)} if name == "/clock" else {}
+        data = types.serialise(kind, completed(types.shape(kind), told, where=""), Encoding.CDR)
+        bag.write(bag.add_topic(name, kind, types.definition(kind)), BEGIN_NS, data)
+    bag.close()
+    assert problems(bag.path, topics=topics) == []
+    found = problems(bag.path, topics=topics, clock=True)
+    assert len(found) == bool(ahead_s)
+    for problem, fix in found:
+        assert f"/clock told a time {-ahead_s:,} s from that at which it was recorded" in problem
+        assert ("topics" in fix) == (topics is not None)
+
+
 @pytest.mark.parametrize("kind", ["bag", "mcap", "sqlite"])
 def test_messages_are_as_far_apart_as_they_were_recorded_whatever_recorded_them(play, scans, kind):
     link, context = play(scans[kind], topics=["/scan"], rate=2.0)
@@ -188,6 +206,56 @@ def test_the_time_of_the_bag_is_told_on_clock_before_what_was_recorded_then(play
     assert {later - sooner for sooner, later in pairwise(times)} == {5_000_000}  # 100 Hz at half speed
     assert told[-1].time - told[0].time == pytest.approx(1.9, abs=0.011)
     assert "/clock" not in {each.topic for each in play(scans["mcap"])[0].publications}
+
+
+@pytest.mark.parametrize("clock", [False, True])
+def test_a_bag_that_holds_fewer_messages_than_it_counts_makes_the_run_doubtful(play, tmp_path, clock):
+    """One of 8,886 messages with a damaged byte gave 564 without a word."""
+    bag = scans_of_ros2(tmp_path / "hall")
+    assert not play(bag, clock=clock)[1].broker.findings
+    metadata = bag / "metadata.yaml"
+    told = yaml.safe_load(metadata.read_text())
+    (scans,) = told["rosbag2_bagfile_information"]["topics_with_message_count"]
+    scans["message_count"] = 25
+    metadata.write_text(yaml.safe_dump(told))
+    (doubt,) = play(bag, clock=clock)[1].broker.findings
+    assert doubt.problem.startswith("20 messages were played, and the bag counts 25 on these topics: it is damaged")
+
+
+def test_no_more_than_a_second_is_read_ahead(tmp_path, monkeypatch):
+    """200 images were, which is more than a gigabyte of a camera's."""
+    read, ahead = [], []
+
+    class Link(FakeRobotLink):
+        def publish(self, *arguments, **options):
+            super().publish(*arguments, **options)
+            ahead.append(len(read) - len(self.publications))
+
+    messages = RecordedBag.messages
+    monkeypatch.setattr(RecordedBag, "messages", lambda *of: (read.append(each) or each for each in messages(*of)))
+    clock, plugin = FakeClock(10.0), PlayBag(driving(tmp_path, "/a", seconds=(10.0,)), rate=2.0)
+    rehearse(make_context(tmp_path, plugin, links=FakeLinks(robot=Link(clock)), clock=clock), plugin)
+    assert (len(read), max(ahead)) == (101, 20)
+
+
+def test_who_subscribes_fixed_frames_late_gets_those_of_all_publishers_of_the_bag(play, tmp_path):
+    """It gets the last message: of two publishers, the frames of one were missing."""
+    types, bag, kind = TypeCatalogue.of(2), new_bag(tmp_path, Encoding.CDR), "tf2_msgs/TFMessage"
+    fixed = bag.add_topic("/tf_static", kind, types.definition(kind), [Qos.TRANSIENT_LOCAL])
+    moving = bag.add_topic("/tf", kind, types.definition(kind))
+    sent = [(fixed, "eye", 1.0), (fixed, "ear", 2.0), (fixed, "eye", 3.0), (moving, "leg", 0.0), (moving, "arm", 0.0)]
+    for number, (topic, frame, x) in enumerate(sent):
+        frames = {"transforms": [{"child_frame_id": frame, "transform": {"translation": {"x": x}}}]}
+        data = types.serialise(kind, completed(types.shape(kind), frames, where=""), Encoding.CDR)
+        bag.write(topic, BEGIN_NS + number, data)
+    bag.close()
+    link, context = play(bag.path)
+    told = [
+        {each["child_frame_id"]: each["transform"]["translation"]["x"] for each in published.message["transforms"]}
+        for published in link.publications
+    ]
+    assert told == [{"eye": 1.0}, {"eye": 1.0, "ear": 2.0}, {"eye": 3.0, "ear": 2.0}, {"leg": 0.0}, {"arm": 0.0}]
+    assert context.measures["PlayedMessages"] == 5
 
 
 def test_messages_that_come_late_make_the_run_doubtful_by_the_figure(tmp_path, scans):

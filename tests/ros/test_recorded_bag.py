@@ -9,7 +9,7 @@ from contextlib import closing
 
 import pytest
 import yaml
-from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 from tests.ros.recordings import BEGIN_NS, scans_of_ros2
 
@@ -66,6 +66,22 @@ def test_a_type_with_a_char_is_known_by_the_digest_of_its_version(tmp_path, dige
     messages, problems = found(path)
     assert messages == ({"/keys": 1} if is_read else {})
     assert bool(problems) is not is_read
+
+
+#: As genmsg, which hashes constants as they are written, has it for the definition below.
+WRITTEN = "21dd847b175979fe5870d67b70aac10c"
+
+
+def test_a_type_of_ros_1_is_known_by_its_digest_however_its_constants_are_written(tmp_path):
+    """rosbags writes the numbers of constants anew, and hashes that: topics were refused, and bags had wrong sums."""
+    constants = 'float32 LIMIT=1e-3\nuint8 MODE = 007 # of agents\nstring NAME="a" # b\n'
+    part = f"{'=' * 80}\nMSG: my_msgs/Part\n{constants}int32 x\n"
+    definition = f"float64 PI=3.14159265358979323846\nmy_msgs/Part[] parts\n{part}"
+    bag = new_bag(tmp_path, Encoding.ROS1)
+    bag.write(bag.add_topic("/gear", "my_msgs/Gear", definition), BEGIN_NS, bytes(4))
+    bag.close()
+    assert WRITTEN.encode() in bag.path.read_bytes()
+    assert found(bag.path) == ({"/gear": 1}, {})
 
 
 def test_messages_that_are_only_counted_are_told(tmp_path):
@@ -183,12 +199,66 @@ def test_an_index_without_topics_is_not_taken_for_an_empty_bag(tmp_path):
         bag.chosen(None)
 
 
-def test_a_bag_that_git_has_yet_to_bring_says_so(tmp_path):
-    pointer = tmp_path / "hall.mcap"
+def refusal(path):
+    """Return the fix of the error with which a bag is refused."""
+    with pytest.raises(PluginError) as refused:
+        RecordedBag(path)
+    return refused.value.fix
+
+
+def test_a_folder_of_a_bag_that_is_called_as_a_file_is_found_beside_nothing_else(tmp_path):
+    """`ros2 bag record -o hall.mcap` makes it; it was taken for two bags."""
+    scans_of_ros2(tmp_path / "hall.mcap")
+    assert found(tmp_path) == ({"/scan": 20}, {})
+
+
+def test_a_bag_that_git_has_yet_to_bring_says_so_also_in_its_folder(tmp_path):
+    folder = scans_of_ros2(tmp_path / "hall")
+    pointer = folder / "hall.mcap"
     pointer.write_text("version https://git-lfs.github.com/spec/v1\noid sha256:00\nsize 5\n")
-    with pytest.raises(PluginError, match="only points to a file of Git LFS") as refused:
-        RecordedBag(pointer)
-    assert refused.value.fix == "Bring the file itself: git lfs pull."
+    for path in (folder, pointer):
+        with pytest.raises(PluginError, match=r"'hall\.mcap' only points to a file of Git LFS") as refused:
+            RecordedBag(path)
+        assert refused.value.fix == "Bring the file itself: git lfs pull."
+
+
+def test_the_fix_of_a_bag_that_cannot_be_read_helps_with_its_kind(tmp_path):
+    """`rosbag reindex` was named for all of them: it repairs those of ROS 1 alone."""
+    renamed = scans_of_ros2(tmp_path / "hall")
+    file = (renamed / "hall.mcap").rename(renamed / "tuesday.mcap")
+    assert refusal(renamed) == f"Name its file, {str(file)!r}, or have metadata.yaml written anew: ros2 bag reindex."
+    assert found(file) == ({"/scan": 20}, {})
+    for name, program in {"cut.mcap": "mcap recover", "cut.bag": "rosbag reindex", "cut.db3": ".recover"}.items():
+        (tmp_path / name).write_bytes(file.read_bytes()[:100])
+        assert program in refusal(tmp_path / name)
+    (tmp_path / "hall.bag.active").write_bytes(b"#ROSBAG V2.0")
+    assert "rosbag reindex" in refusal(tmp_path / "hall.bag.active")
+
+
+@pytest.mark.parametrize("name", ["hall #2", "hall?", "50%25"])
+def test_a_sqlite_bag_with_a_name_that_rosbags_cannot_open_is_to_be_renamed(tmp_path, name):
+    folder = scans_of_ros2(tmp_path / "hall", sqlite=True).rename(tmp_path / name)
+    for path in (folder, folder / "hall.db3"):
+        assert refusal(path) == "Rename it: rosbags opens no .db3 file with any of #?% in its path."
+
+
+@pytest.mark.parametrize("kinds", [("mcap", "mcap"), ("bag", "mcap")])
+def test_the_parts_of_a_recording_that_was_killed_are_not_taken_for_several(tmp_path, kinds):
+    for number, kind in enumerate(kinds):
+        (tmp_path / f"hall_{number}.{kind}").write_bytes(b"")
+    are_parts = "Of the parts of one recording, make a bag: ros2 bag reindex" in refusal(tmp_path)
+    assert are_parts == (kinds[0] == kinds[1])
+
+
+def test_a_file_whose_messages_are_compressed_one_by_one_names_the_folder_that_tells_so(tmp_path):
+    store, path, name = get_typestore(Stores.ROS2_HUMBLE), tmp_path / "hall", "std_msgs/msg/String"
+    writer = Writer(path, version=8, storage_plugin=StoragePlugin.SQLITE3)
+    writer.set_compression(CompressionMode.MESSAGE, CompressionFormat.ZSTD)
+    with writer:
+        chatter = writer.add_connection("/chatter", name, typestore=store)
+        writer.write(chatter, BEGIN_NS, TEXT)
+    assert found(path) == ({"/chatter": 1}, {})
+    assert refusal(path / "hall.db3") == f"Name the folder: {str(path)!r}."
 
 
 def _loaded(metadata):

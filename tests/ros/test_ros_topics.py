@@ -135,6 +135,22 @@ def test_stamps_of_a_simulation_s_time_or_a_recording_yield_no_age_and_a_warning
     assert "topic odom: a message was stamped 20000.0 days before it arrived" in finding.problem
 
 
+def test_a_clock_that_is_behind_or_a_recording_of_today_yields_no_age_and_a_warning_about_clocks(measure):
+    """A clock that was ahead gave itself away; that of a robot without one of its own made ages of hours."""
+    context = measure(RosTopics({"odom": 20.0}), age=4000.0)
+    assert (context.measures["OdomAge"], context.measures["OdomMaxAge"]) == (None, None)
+    assert context.measures["OdomRate"] == pytest.approx(20.0, rel=0.01)
+    (finding,) = context.broker.findings
+    assert "topic odom: all messages were stamped at least 4,000 s before they arrived" in finding.problem
+    assert "chrony" in finding.fix
+
+
+def test_messages_that_are_late_by_seconds_are_no_matter_of_clocks(measure):
+    context = measure(RosTopics({"odom": 20.0}), age=20.0)
+    assert context.measures["OdomAge"] == pytest.approx(20.0, abs=0.01)
+    assert not context.broker.findings
+
+
 def test_ages_are_doubtful_and_they_alone_where_this_machine_s_clock_was_set_meanwhile(measure, monkeypatch):
     real, set_by = time.clock_gettime, [0.0]
     monkeypatch.setattr(time, "clock_gettime", lambda clock: real(clock) + set_by[0] * (clock == time.CLOCK_REALTIME))

@@ -10,6 +10,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+from robot_runner.core.config.loader import fix_of_missing
 from robot_runner.core.config.parameters import OperationType
 from robot_runner.core.config.source import read_tree
 from robot_runner.core.errors import ConfigError, Finding, did_you_mean, nearest
@@ -205,7 +206,7 @@ def check_packages(recognised: Recognised) -> Iterator[Finding]:
             yield Finding.error(
                 f"{recognised.path}:{each.line}",
                 f"there is no module {package!r}",
-                f"Install the package that brings {package!r}, or correct the name.",
+                fix_of_missing(recognised.path, package),
             )
 
 

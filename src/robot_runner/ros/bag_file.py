@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 from robot_runner.core.errors import LinkError, PluginError
 from robot_runner.core.links.robot import Encoding, Qos, RawMessage, RobotLink
 from robot_runner.ros.bag_metadata import Contents, offered_profiles
+from robot_runner.ros.opened_bag import types_in
 from robot_runner.ros.recorded_bag import RecordedBag
 
 if TYPE_CHECKING:
@@ -169,7 +170,7 @@ def _md5(name: str, definition: str) -> str:
     store = get_typestore(Stores.EMPTY)
     store.register(get_types_from_msg("int32 sec\nuint32 nanosec\n", "builtin_interfaces/msg/Time"))
     store.register(get_types_from_msg("int32 sec\nuint32 nanosec\n", "builtin_interfaces/msg/Duration"))
-    store.register(get_types_from_msg(definition, name))
+    store.register(types_in(definition, name))
     return store.generate_msgdef(name, ros_version=1)[1]
 
 

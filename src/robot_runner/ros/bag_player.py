@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from array import array
-from collections import deque
+from collections import defaultdict, deque
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
@@ -12,7 +12,7 @@ from pathlib import Path
 
 from robot_runner.core.errors import PluginError
 from robot_runner.core.events.context import Clock
-from robot_runner.core.links.robot import Advertiser, Encoding, RobotLink
+from robot_runner.core.links.robot import Advertiser, Encoding, Message, Qos, RobotLink
 from robot_runner.core.words import enumerated
 from robot_runner.measuring.meter_process import MeterProcess
 from robot_runner.ros.bag_recorder import ENDING, PROGRAMS
@@ -21,13 +21,16 @@ from robot_runner.ros.shapes import stamp_of
 
 #: The topic of the time that nodes live by where `use_sim_time` is set, and its type.
 CLOCK, _CLOCK_TYPE = "/clock", "rosgraph_msgs/Clock"
+#: The type of a message with frames.
+_FRAMES = "tf2_msgs/TFMessage"
 #: How often the time is published, Hz of real time, as `rosbag play` does.
 CLOCK_RATE = 100.0
 #: How the names of topics end that are meant for many publishers: transforms of different frames, logs, parameters. A
 #: SLAM node under test, say, publishes the pose of the map beside the odometry of the bag.
 _SHARED = frozenset({"tf", "tf_static", "diagnostics", "rosout", "rosout_agg", "parameter_events"})
-#: So many messages are read ahead at most while the next one is not due, and reading ends so long before that, s.
-_AHEAD, _MARGIN = 200, 0.002
+#: So many messages, and so many of real time, s, are read ahead at most while the next one is not due, since images are
+#: large; and reading ends so long before that, s.
+_AHEAD, _SPAN, _MARGIN = 200, 1.0, 0.002
 #: A message that is due within so little, s, is published at once: a sleep is no more precise than that.
 _SLEEP = 50e-6
 
@@ -54,7 +57,8 @@ class Played:
 class LinkPlayer:
     """Publishes the messages of a bag over a link, as far apart as they were recorded.
 
-    What was recorded is not changed: stamps in headers stay those of the recording.
+    What was recorded is not changed: stamps in headers stay those of the recording. Only messages with fixed frames
+    hold all earlier ones, too, as a late subscriber gets the last message, and in the bag each publisher had its own.
 
     Args:
         bag: open for reading, until it is played.
@@ -72,6 +76,7 @@ class LinkPlayer:
         self._has_clock = has_clock
         self._messages: Iterator[RecordedMessage] = iter(())
         self._ready: deque[RecordedMessage] = deque()
+        self._frames: dict[str, dict[str, Message]] = defaultdict(dict)  # fixed ones, by topic and name
 
     def advertise(self) -> None:
         """Have the topics on the graph, and the first messages read, so that the first one is not late."""
@@ -93,7 +98,7 @@ class LinkPlayer:
         for each in self._with_times(first_ns):
             moment = (each.stamp_ns - first_ns) * 1e-9
             due = begun + moment / self._rate
-            self._read_ahead(clock, due)
+            self._read_ahead(clock, due, round(each.stamp_ns + _SPAN * 1e9 * self._rate))
             if (left := due - clock.now()) > _SLEEP:
                 clock.sleep(left)
             now = clock.now()
@@ -101,7 +106,7 @@ class LinkPlayer:
                 self._link.publish(CLOCK, _CLOCK_TYPE, each.message)
                 continue
             topic = self._topics[each.topic]
-            self._link.publish(topic.name, topic.message_type, each.message, qos=topic.qos)
+            self._link.publish(topic.name, topic.message_type, self._with_frames(topic, each.message), qos=topic.qos)
             played.times.append(now)
             played.moments.append(moment)
             played.lateness.append(now - due)
@@ -110,6 +115,14 @@ class LinkPlayer:
         if isinstance(self._link, Advertiser):
             for topic in self._topics.values():
                 self._link.advertise(topic.name, topic.message_type, qos=topic.qos)
+
+    def _with_frames(self, topic: RecordedTopic, message: Message) -> Message:
+        """Return a message; one with fixed frames holds those of the earlier ones, the newest of each name."""
+        if topic.message_type != _FRAMES or topic.qos is not Qos.TRANSIENT_LOCAL:
+            return message
+        frames = self._frames[topic.name]
+        frames.update((each["child_frame_id"], each) for each in message["transforms"])
+        return {"transforms": list(frames.values())}
 
     def _with_times(self, first_ns: int) -> Iterator[RecordedMessage]:
         """Yield the messages, and before each the times to publish by then; the last message ends it."""
@@ -121,10 +134,11 @@ class LinkPlayer:
                 told += step
             yield message
 
-    def _read_ahead(self, clock: Clock, due: float) -> None:
+    def _read_ahead(self, clock: Clock, due: float, until_ns: int) -> None:
         """Read while there is nothing to do; a thread would hold the interpreter just when a message is due."""
-        while len(self._ready) < _AHEAD and clock.now() < due - _MARGIN and self._read_one():
-            pass
+        while len(self._ready) < _AHEAD and clock.now() < due - _MARGIN:
+            if (self._ready and self._ready[-1].stamp_ns >= until_ns) or not self._read_one():
+                return
 
     def _read_one(self) -> bool:
         message = next(self._messages, None)

@@ -11,16 +11,20 @@ from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import PluginError
 from robot_runner.core.links.robot import Encoding
+from robot_runner.ros.shapes import plain_type
 from robot_runner.ros.type_store import type_hash
 
 if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore
 
 _INSTALL = "Install it: pip install 'robot-runner[bag]'."
-#: Separates the definitions of several files of IDL, as rosbag2 writes them into MCAP.
+#: Separates the definition of a type from those that it is made of, and several files of IDL.
 _RULE = "=" * 80 + "\n"
 #: Lines such as `#include`, which the parser of rosbags does not know; the bag has the included definitions anyway.
 _DIRECTIVE = re.compile(r"^[ \t]*#.*$", re.MULTILINE)
+
+#: A line with a constant: its name, and its value up to a comment; in a string, `#` begins none.
+_CONSTANT = re.compile(r"^[ \t]*(?:w?string[ \t]+(\w+)[ \t]*=(.*)|\w+[ \t]+(\w+)[ \t]*=([^#\n]*).*)$", re.MULTILINE)
 
 
 class OpenedBag:
@@ -131,12 +135,36 @@ class OpenedBag:
             return set()
 
 
+def types_in(definition: str, message_type: str) -> dict[str, Any]:
+    """Return the types of a definition, for a store, with constants as they are written.
+
+    In ROS 1, a digest is of their text, which rosbags writes anew: 1e-3 would be 0.001.
+
+    Raises:
+        TypesysError: of rosbags; the definition cannot be read.
+    """
+    from rosbags.typesys import get_types_from_msg  # noqa: PLC0415  # an extra
+
+    written: dict[str, dict[str, str]] = {}
+    for part in f"MSG: {plain_type(message_type)}\n{definition}".split(_RULE):
+        head, _, text = part.partition("\n")
+        found = (each.groups() for each in _CONSTANT.finditer(text))
+        written[head.removeprefix("MSG:").strip()] = {
+            text_name or name: (text_value or value or "").strip() for text_name, text_value, name, value in found
+        }
+    types: dict[str, Any] = {}
+    for each, (constants, fields) in get_types_from_msg(definition, message_type).items():
+        own = written.get(plain_type(each), {})
+        types[each] = [(name, kind, own.get(name, value)) for name, kind, value in constants], fields
+    return types
+
+
 def _parsed(message_type: str, text: str, kind: Any) -> Mapping[str, Any]:
     from rosbags.interfaces import MessageDefinitionFormat  # noqa: PLC0415  # an extra
-    from rosbags.typesys import get_types_from_idl, get_types_from_msg  # noqa: PLC0415  # an extra
+    from rosbags.typesys import get_types_from_idl  # noqa: PLC0415  # an extra
 
     if kind is MessageDefinitionFormat.MSG:
-        return get_types_from_msg(text, message_type)
+        return types_in(text, message_type)
     text = _DIRECTIVE.sub("", text)
     if not text.startswith(f"{_RULE}IDL: "):
         return get_types_from_idl(text)

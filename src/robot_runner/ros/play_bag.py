@@ -25,6 +25,7 @@ from robot_runner.ros.bag_recorder import PROGRAMS
 from robot_runner.ros.graph_addresses import is_of_environment
 from robot_runner.ros.recorded_bag import RecordedBag, RecordedTopic, bag_at
 from robot_runner.ros.robot_system import RobotSystem
+from robot_runner.ros.shapes import nanoseconds_of
 from robot_runner.ros.topic_statistics import nearest_rank, robot_findings
 from robot_runner.ros.watchdog import velocity_command
 
@@ -32,6 +33,9 @@ if TYPE_CHECKING:
     import os
 
     from robot_runner.core.plugin import Circumstances
+
+#: How far the time on a bag's `/clock` may be from that of its recording, s, before it counts as a simulation's.
+_SAME_TIME = 1.0
 
 _FIX = "Execute the run again with nothing else going on, or play the bag more slowly (rate)."
 
@@ -128,12 +132,14 @@ class PlayBag(RobotSystem):
         return [InputFile(self.path)]
 
     def check(self, circumstances: Circumstances) -> Iterable[Finding]:
-        """Yield what stands in the way: no robot, no such bag, nothing in it to play, no program, two clocks."""
+        """Yield what stands in the way: no robot, no such bag, nothing to play, no program, two clocks or times."""
         yield from robot_findings(self.name, circumstances)
         tells_time = self.has_clock
         try:
             with RecordedBag(self.path) as bag:
                 tells_time |= any(topic.name == CLOCK for topic in bag.chosen(self.topics))
+                if self.has_clock:
+                    yield from self._other_time(bag)
                 if (count := bag.files_beside) > 1:
                     problem = f"{bag.path.name!r} is one of {count} files of a bag: the others are not played"
                     yield Finding.warning(self._where, problem, f"Name the folder: {str(bag.path.parent)!r}.")
@@ -149,6 +155,22 @@ class PlayBag(RobotSystem):
             problem = f"the run lives by the time on {CLOCK} (robot = {circumstances.robot!r}), which this plugin tells"
             fix = "Leave clock=graph out of robot: the run takes this machine's time, and the nodes the bag's."
             yield Finding.error(self._where, problem, fix)
+
+    def _other_time(self, bag: RecordedBag) -> Iterable[Finding]:
+        """Yield that a simulation told another time than that of its recording: the stamps are of the former."""
+        own = bag.topics.get(CLOCK)
+        if own is None or not own.count or own.problem:
+            return
+        first = next(bag.messages([own], bag.encoding))
+        apart = abs(nanoseconds_of(first.message["clock"]) - first.stamp_ns) * 1e-9
+        if apart > _SAME_TIME:
+            problem = (
+                f"{CLOCK} told a time {apart:,.0f} s from that at which it was recorded, as in a simulation: "
+                "clock=True tells that of the recording, of which the stamps in the messages are not"
+            )
+            fix = f"Leave clock=True out, and have the recorded {CLOCK} played"
+            named = "" if self.topics is None or CLOCK in self.topics else f": topics={[*self.topics, CLOCK]}"
+            yield Finding.warning(self._where, problem, f"{fix}{named}.")
 
     def duration_s(self, combination: Mapping[str, Any]) -> float | None:
         """Return how long the bag takes, s; None where it cannot be read, which `check` says."""
@@ -231,6 +253,11 @@ class PlayBag(RobotSystem):
             times = self._played.times
             self._span = times[-1] - times[0] if times else None
             context.publish("PlayedMessages", len(times), origin=origin)
+            told = sum(each.count for each in self._chosen if not (self.has_clock and each.name == CLOCK))
+            if self._is_played and len(times) != told:
+                problem = f"{len(times)} messages were played, and the bag counts {told} on these topics"
+                fix = "Compare it with its original, or record it again."
+                context.doubt(f"{problem}: it is damaged, or its count is wrong", fix=fix)
             context.publish("PlayLateness", p99, origin=origin)
             context.publish("MaxPlayLateness", late[-1] if late else None, origin=origin)
         context.publish("PlayTime", self._span, origin=origin)

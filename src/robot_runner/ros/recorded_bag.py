@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, NamedTuple, Self
 
 from robot_runner.core.errors import PluginError, did_you_mean, nearest
@@ -23,7 +24,18 @@ _METADATA = "metadata.yaml"
 _POINTER = b"version https://git-lfs"
 #: So many topics are written out in a fix at most.
 _FEW = 8
-_LOOK = "Record it again, or look at it with `ros2 bag info` or `rosbag info`; `rosbag reindex` repairs some."
+#: How files that were cut off are repaired, by their kinds.
+_REPAIRS: Mapping[str, str] = MappingProxyType(
+    {
+        ".bag": "Record it again, or repair a copy: rosbag reindex COPY.bag.",
+        ".mcap": "Record it again, or repair it: mcap recover IN.mcap -o OUT.mcap.",
+        ".db3": "Record it again, or repair it: sqlite3 IN.db3 .recover | sqlite3 OUT.db3.",
+    }
+)
+#: What rosbags leaves as it is in the address by which SQLite opens a file.
+_OF_URIS = frozenset("#?%")
+#: How what zstd compressed begins (RFC 8878, 3.1.1); no message of ROS 2 does.
+_ZSTD = bytes.fromhex("28b52ffd")
 #: Schema encodings in MCAP files that are not those of ROS 2 (mcap.dev, Well-known schema encodings).
 _FOREIGN = frozenset({"flatbuffer", "jsonschema", "protobuf", "ros1msg"})
 _WITHOUT = "Make a bag without these topics: mcap filter IN.mcap -o OUT.mcap --exclude-topic-regex '/of|/these'."
@@ -118,7 +130,7 @@ class RecordedBag(OpenedBag):
         there = {name: topic for name, topic in self.topics.items() if topic.count}
         if not there and self.count:
             problem = f"the bag has {counted(self.count, 'message')}, but its index tells of no topic"
-            raise PluginError(problem, where=str(self.path), fix=_LOOK)
+            raise PluginError(problem, where=str(self.path), fix=_repair(self.path))
         if not there:
             raise PluginError("the bag has no messages", where=str(self.path), fix="Record it again.")
         faults = []
@@ -187,12 +199,20 @@ class RecordedBag(OpenedBag):
             return f"the type {message_type} of {first.topic} is not known: the bag holds no definition"
         try:
             for connection, _, data in self.raw_messages(connections):
+                self._check_unpacked(data)
                 self._decoded(connection.msgtype, data)
                 return ""
+        except PluginError:
+            raise
         except Exception as error:  # noqa: BLE001  # as in `_told_as_broken`
             return f"the first message on {first.topic} is not of type {message_type}: {_reason(error)}"
         count = sum(each.msgcount for each in connections)
         return f"no message on {first.topic} is in the files of the bag, though {_METADATA} counts {count}"
+
+    def _check_unpacked(self, data: bytes) -> None:
+        if data[:4] == _ZSTD and self.path.suffix == ".db3":
+            problem = f"its messages are compressed one by one, as {_METADATA} beside {self.path.name!r} tells"
+            raise PluginError(problem, where=str(self.path), fix=f"Name the folder: {str(self.path.parent)!r}.")
 
 
 def bag_at(path: Path) -> Path:
@@ -211,17 +231,22 @@ def bag_at(path: Path) -> Path:
         raise PluginError(f"there is no bag {str(path)!r}", where=str(path), fix=fix)
     if path.is_file() and path.suffix not in _SUFFIXES:
         fix = "Name a .bag, .mcap or .db3 file, or the folder of a bag."
+        if path.suffix == ".active":
+            fix = f"Wait for its recorder. If that was killed: rosbag reindex {path.name}, and name it {path.stem}."
         raise PluginError(f"{path.name!r} is not a bag", where=str(path), fix=fix)
-    if path.is_file() and _points(path):
-        problem = f"{path.name!r} only points to a file of Git LFS"
+    if pointer := next(filter(_points, _files(path)), None):
+        problem = f"{pointer.name!r} only points to a file of Git LFS"
         raise PluginError(problem, where=str(path), fix="Bring the file itself: git lfs pull.")
     if path.is_file() or (path / _METADATA).is_file():
         return path
-    found = sorted(each for each in path.iterdir() if each.suffix in _SUFFIXES)
+    found = _files(path)
+    parts = {each.suffix for each in found} in ({".mcap"}, {".db3"})
     found += sorted(each.parent for each in path.glob(f"*/{_METADATA}"))
     if len(found) == 1:
         return found[0]
     fix = f"Name one of them: {', '.join(each.name for each in found)}." if found else "Name the folder of a bag."
+    if parts:
+        fix += " Of the parts of one recording, make a bag: ros2 bag reindex."
     raise PluginError(f"there are {len(found) or 'no'} bags in {str(path)!r}", where=str(path), fix=fix)
 
 
@@ -231,7 +256,7 @@ def _check_merged(path: Path) -> None:
     Raises:
         PluginError: there is.
     """
-    for file in sorted(path.glob("*.db3")) if path.is_dir() else [path]:
+    for file in _files(path):
         log = file.with_name(f"{file.name}-wal")
         if log.is_file() and log.stat().st_size:
             problem = f"messages of the bag are still in {log.name!r}: its recorder is at work, or was killed"
@@ -239,10 +264,30 @@ def _check_merged(path: Path) -> None:
             raise PluginError(problem, where=str(path), fix=fix)
 
 
+def _files(path: Path) -> list[Path]:
+    """Return a file, or those in a folder that are bags or parts of one."""
+    if path.is_file():
+        return [path]
+    return sorted(each for each in path.iterdir() if each.suffix in _SUFFIXES and each.is_file())
+
+
+def _repair(path: Path) -> str:
+    """Return what helps with a bag that cannot be read."""
+    files = _files(path)
+    if not files:
+        return f"Bring the files that {_METADATA} names, or record it again."
+    if files[0].suffix == ".db3" and _OF_URIS & {*str(files[0])}:
+        return "Rename it: rosbags opens no .db3 file with any of #?% in its path."
+    if path.is_dir() and len(files) == 1:
+        return f"Name its file, {str(files[0])!r}, or have {_METADATA} written anew: ros2 bag reindex."
+    return _REPAIRS[files[0].suffix]
+
+
 def _points(path: Path) -> bool:
     """Return whether a file stands for one that Git keeps elsewhere, as in a clone without Git LFS."""
-    with path.open("rb") as file:
+    with suppress(OSError), path.open("rb") as file:
         return file.read(len(_POINTER)) == _POINTER
+    return False
 
 
 @contextmanager
@@ -255,7 +300,7 @@ def _told_as_broken(path: Path) -> Iterator[None]:
         if isinstance(error, KeyError) and {*error.args} & _FOREIGN:
             problem = f"the bag has topics with {error.args[0]} definitions, and rosbags reads no bag that has any"
             raise PluginError(problem, where=str(path), fix=_WITHOUT) from error
-        raise PluginError(f"the bag cannot be read: {_reason(error)}", where=str(path), fix=_LOOK) from error
+        raise PluginError(f"the bag cannot be read: {_reason(error)}", where=str(path), fix=_repair(path)) from error
 
 
 def _reason(error: Exception) -> str:

@@ -158,7 +158,10 @@ class RosTopics(TopicProfiler):
             ages = [received.label + kind for kind in ("Age", "MaxAge")]
             old = received.age_doubt()
             if old is not None:
-                context.doubt(f"topic {topic}: {old}", fix="Go without them: the rest is counted here.", measures=ages)
+                fix = "Go without them: the rest is counted here."
+                if received.is_behind and not received.is_of_another_time:
+                    fix = f"{_CLOCKS_FIX} Of a recording, go without ages: the rest is counted here."
+                context.doubt(f"topic {topic}: {old}", fix=fix, measures=ages)
             elif self._clock_set and received.known_ages and not self._is_simulated:
                 problem, fix = told_setting(self._clock_set)
                 context.doubt(f"topic {topic}: {problem}", fix=fix, measures=ages)

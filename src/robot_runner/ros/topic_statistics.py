@@ -175,6 +175,8 @@ _FEW = 3
 
 #: By how much a stamp may be in the future, s, before clocks count as different: they never agree exactly.
 _AHEAD = 0.001
+#: By how much every stamp may be in the past, s, before clocks count as different: nothing live is as late as that.
+_BEHIND = 60.0
 #: By how much a stamp may be in the past, s, before it counts as simulated or recorded time: a day.
 _ANOTHER_TIME = 86_400.0
 #: The number of messages for the rate in the live display.
@@ -269,6 +271,11 @@ class ReceivedTopic:
         return min(self.known_ages, default=0.0) < -_AHEAD
 
     @property
+    def is_behind(self) -> bool:
+        """Whether all messages were stamped so long before they arrived that clocks differ, or it is a recording."""
+        return min(self.known_ages, default=0.0) > _BEHIND
+
+    @property
     def is_of_another_time(self) -> bool:
         """Whether a message was stamped so long ago that the stamps are of simulated or recorded time."""
         return max(self.known_ages, default=0.0) > _ANOTHER_TIME
@@ -276,7 +283,7 @@ class ReceivedTopic:
     @property
     def has_ages(self) -> bool:
         """Whether stamps and arrivals seem to be of one clock."""
-        return not (self.is_ahead or self.is_of_another_time)
+        return not (self.is_ahead or self.is_behind or self.is_of_another_time)
 
     def quality(self, window: Window) -> SampleQuality:
         """Return how evenly the messages came over the window."""
@@ -344,16 +351,21 @@ class ReceivedTopic:
             yield f"a message was stamped {-min(self.known_ages):.3f} s after it arrived, so ages are not known"
 
     def age_doubt(self) -> str | None:
-        """Return the problem that the stamps are of another time, or missing; None if neither."""
+        """Return the problem that the stamps are of another time or clock, or missing; None if none of them."""
         if self.times and not self.known_ages:
             return "its messages carry no stamp, so ages are not known"
-        if not self.is_of_another_time:
-            return None
-        days = max(self.known_ages) / _ANOTHER_TIME
-        return (
-            f"a message was stamped {days:.1f} days before it arrived, as in a simulation's time or a recording, so "
-            "ages are not known"
-        )
+        if self.is_of_another_time:
+            days = max(self.known_ages) / _ANOTHER_TIME
+            return (
+                f"a message was stamped {days:.1f} days before it arrived, as in a simulation's time or a recording, "
+                "so ages are not known"
+            )
+        if self.is_behind:
+            return (
+                f"all messages were stamped at least {min(self.known_ages):,.0f} s before they arrived, by a clock "
+                "that is behind, or in a recording, so ages are not known"
+            )
+        return None
 
     def loss_doubt(self, window: Window) -> str | None:
         """Return why the number of lost messages is not known; None if it is."""

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import json
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -91,6 +92,36 @@ def test_a_missing_package_is_named(write_config: Write) -> None:
     path = write_config(head="import no_such_package\nclass RobotRunnerConfig:\n    pass\n")
     (finding,) = refused(path)
     assert "'no_such_package'" in finding.fix
+
+
+@pytest.mark.parametrize("file", ["drivers.py", "drivers/__init__.py", "drivers/robots/arm.py"])
+def test_a_module_in_a_folder_above_the_config_is_told_with_this_folder(tmp_path: Path, file: str) -> None:
+    module = tmp_path / file
+    module.parent.mkdir(parents=True, exist_ok=True)
+    module.touch()
+    path = tmp_path / "studies" / "config.py"
+    path.parent.mkdir()
+    path.write_text("import drivers\nclass RobotRunnerConfig:\n    pass\n")
+    assert refused(path)[0].fix == (
+        f"Python does not search {tmp_path}, which has a 'drivers'. If it is meant, write PYTHONPATH={tmp_path} "
+        "before the command; otherwise install the package that brings 'drivers'."
+    )
+
+
+def test_a_module_that_its_package_does_not_have_is_told_with_the_folder_of_the_package(write_config: Write) -> None:
+    path = write_config(head="import json.decodr\nclass RobotRunnerConfig:\n    pass\n")
+    assert refused(path)[0].fix == (
+        f"'json' is in {Path(json.__file__).parent}, which has no 'decodr': "
+        "correct the name, or get the version that has it."
+    )
+
+
+def test_a_folder_without_python_above_the_config_is_not_taken_for_a_missing_package(tmp_path: Path) -> None:
+    (tmp_path / "no_such_package").mkdir()
+    path = tmp_path / "studies" / "config.py"
+    path.parent.mkdir()
+    path.write_text("import no_such_package\nclass RobotRunnerConfig:\n    pass\n")
+    assert refused(path)[0].fix == "Install the package that brings 'no_such_package', or correct the name."
 
 
 @pytest.mark.parametrize(

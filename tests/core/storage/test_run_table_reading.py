@@ -203,6 +203,18 @@ def test_without_its_config_a_table_goes_by_looks_and_types(tmp_path: Path) -> N
             ],
         ),
         (
+            "Task,Speed,,\nVideo,1,,\nVideo,1,,late\nVideo,1,2,late\nVideo,1,2,late\nVideo,1,2,3,4\n",
+            [
+                "run_table.csv, line 3: column 4 has the value 'late', and its heading is empty → {unnamed}",
+                "run_table.csv, line 4: column 3 has the value '2', and its heading is empty → {unnamed}",
+                "run_table.csv, line 6: the row has 5 cells, the heading has 4 → {cells}",
+            ],
+        ),
+        (
+            "Task,Speed,\nVideo,1,2\n",
+            ["run_table.csv, line 2: column 3 has the value '2', and its heading is empty → {unnamed}"],
+        ),
+        (
             "run_id,Task,Speed\nr_1,Video,1\nr_1,Video,1\nR_1,Video,1\n",
             [
                 "run_table.csv, line 3, column 'run_id': run id 'r_1' is there twice → Give each run an id of its own.",
@@ -275,7 +287,7 @@ def test_without_its_config_a_table_goes_by_looks_and_types(tmp_path: Path) -> N
             ],
         ),
     ],
-    ids=range(16),
+    ids=range(18),
 )
 def test_every_problem_is_named_with_its_line_and_column(
     tmp_path: Path, text: str | bytes, findings: list[str]
@@ -283,6 +295,7 @@ def test_every_problem_is_named_with_its_line_and_column(
     shared = {
         "empty": "Add a line for each run, or delete the file: it is planned again then.",
         "cells": "Give it a cell under each heading; an empty one where there is no value.",
+        "unnamed": "Write a name for it into the first line.",
         "folder": "Use letters, digits, '_', '-' and '.' (60 at most).",
     }
     assert findings_of(tmp_path, text) == [finding.format(**shared) for finding in findings]

@@ -7,6 +7,7 @@ import importlib.util
 import inspect
 import os
 import re
+import shlex
 import sys
 import threading
 import traceback
@@ -205,7 +206,7 @@ def raised_in(path: Path, when: str) -> Iterator[None]:
         raise ConfigError(
             f"the config raised {type(error).__name__} {when}: {error}{_before(error)}",
             where=place_in(path, error),
-            fix=_fix_of(error)
+            fix=_fix_of(path, error)
             or _fix_of_import(error)
             or _fix_of_method(error)
             or misspelt_keyword(path, error)
@@ -247,11 +248,28 @@ _DOORS = tuple(f"robot_runner{each}" for each in ("", ".plugins", ".plugins.prof
                                                   ".adaptive", ".analysis"))  # fmt: skip
 
 
-def _fix_of(error: BaseException) -> str:
+def fix_of_missing(config: Path, package: str) -> str:
+    """Return the fix for a module that is not there: some configs import by their path from a folder above them."""
+    parent, _, name = package.rpartition(".")
+    for folder in getattr(sys.modules.get(parent), "__path__", ()):
+        return f"{parent!r} is in {folder}, which has no {name!r}: correct the name, or get the version that has it."
+    places = [f"{package}.py", f"{package}/*.py", f"{package}/*/*.py"]
+    above = config.absolute().parent.parents
+    folder = next((each for each in above if any(any(each.glob(place)) for place in places)), None)
+    if folder is None:
+        return f"Install the package that brings {package!r}, or correct the name."
+    return (
+        f"Python does not search {folder}, which has a {package!r}. If it is meant, write "
+        f"PYTHONPATH={shlex.quote(str(folder))} before the command; otherwise install the package that brings "
+        f"{package!r}."
+    )
+
+
+def _fix_of(path: Path, error: BaseException) -> str:
     if isinstance(error, ImportError) and "relative import" in str(error):
         return "Import it by its name, without the dots: the folder of the config is searched for modules."
     if isinstance(error, ModuleNotFoundError) and error.name:
-        return f"Install the package that brings {error.name!r}, or correct the name."
+        return fix_of_missing(path, error.name)
     if isinstance(error, KeyError) and traceback.extract_tb(error.__traceback__)[-1].filename in _OF_OS:
         return f"Set it in the environment: export {error.args[0]}=... before the command."
     if isinstance(error, AttributeError) and is_waiting(error.obj):

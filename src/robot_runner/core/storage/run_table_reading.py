@@ -183,6 +183,7 @@ class _Reading:
         self._planned = planned
         self._places = factor_places(layout.factor_names)
         self._findings = findings
+        self._nameless: set[int] = set()
         self._run_ids = RunIdDecoder(findings)
         self._repetitions = RepetitionDecoder(findings, least=0 if WARM_UP in layout.marks else 1)
         self._factors = [
@@ -307,7 +308,7 @@ class _Reading:
                 headings = match_headings(chunk.rows[0], self._layout, self._findings, line=chunk.lines[0])
                 chunk = chunk.only(range(1, len(chunk.rows)))
             if headings is not None:
-                yield headings, self._fitting(chunk, headings.width)
+                yield headings, self._fitting(chunk, headings)
             if is_broken or not rows:
                 return
 
@@ -322,18 +323,26 @@ class _Reading:
             return True
         return False
 
-    def _fitting(self, chunk: RowChunk, width: int) -> RowChunk:
+    def _fitting(self, chunk: RowChunk, headings: Headings) -> RowChunk:
         """Return the rows that have a cell for each heading; others are errors, as shifting cells would be a guess."""
+        width, written = headings.width, len(headings.cells)
         if {*map(len, chunk.rows)} <= {width}:
             return chunk
         fitting = []
         for place, row in enumerate(chunk.rows):
-            if not any(row[width:]):
+            if width < len(row) <= written:  # an earlier tool wrote values that no column had been declared for
+                nameless = {column for column, cell in enumerate(row[width:], width) if cell}
+                for column in sorted(nameless - self._nameless):  # each is told once
+                    problem = f"column {column + 1} has the value {row[column]!r}, and its heading is empty"
+                    self._findings.error(problem, "Write a name for it into the first line.", line=chunk.lines[place])
+                self._nameless |= nameless
+                del row[width:]
+            elif not any(row[width:]):
                 del row[width:]
             if len(row) == width:
                 fitting.append(place)
             else:
-                problem = f"the row has {len(row)} cells, the heading has {width}"
+                problem = f"the row has {len(row)} cells, the heading has {written if len(row) > width else width}"
                 fix = "Give it a cell under each heading; an empty one where there is no value."
                 self._findings.error(problem, fix, line=chunk.lines[place])
         return chunk.only(fitting)
