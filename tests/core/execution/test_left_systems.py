@@ -8,6 +8,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import time
 from contextlib import closing
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
@@ -19,7 +20,7 @@ from tests.core.execution.lamp import HEAD, TABLE, made_safe
 from robot_runner.core.config import plugin_checks
 from robot_runner.core.config.preparation import prepare_or_refuse
 from robot_runner.core.entry_points import EntryPoint
-from robot_runner.core.errors import ExecutionError, RobotRunnerError
+from robot_runner.core.errors import ExecutionError, LinkError, RobotRunnerError
 from robot_runner.core.execution import standby
 from robot_runner.core.execution.left_systems import (
     goes_on,
@@ -191,21 +192,25 @@ def test_of_a_robot_that_is_not_there_any_more_it_is_told_that_nobody_took_the_c
     assert found.problem.endswith("was done now, as far as it could be: nobody subscribes to /cmd_vel any more")
 
 
-def test_goals_that_a_killed_run_has_sent_are_cancelled(
+def test_goals_that_a_killed_run_has_sent_are_cancelled_and_a_server_that_hangs_delays_no_system(
     experiment: Experiment, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     cancelled = experiment.config_path.with_name("cancelled")
 
-    def cancel(link: object, action: str) -> None:
-        with cancelled.open("a") as file:
-            file.write(f"{action}\n")
+    def hang(link: object, action: str) -> None:
+        deadline = time.monotonic() + 20
+        while not made_safe(experiment) and time.monotonic() < deadline:
+            time.sleep(0.01)
+        cancelled.write_text(f"{action} {bool(made_safe(experiment))}")
+        raise LinkError("the action server does not answer", where=action)
 
-    for each in ("cancel_all_goals", "keep_cancelling_goals"):
-        monkeypatch.setattr(standby, each, cancel)
+    monkeypatch.setattr(standby, "keep_cancelling_goals", hang)
+    monkeypatch.setattr(standby, "RETRYING", 0.0)
     file = of_velocities(experiment, Deserted(), monkeypatch)
     file.add_commanded(Commanded("/navigate_to_pose", CANCELLING))
-    see_to_what_is_left(experiment)
-    assert cancelled.read_text().splitlines() == ["/navigate_to_pose"] * 2
+    with pytest.raises(ExecutionError, match="the action server does not answer"):
+        see_to_what_is_left(experiment)
+    assert cancelled.read_text() == "/navigate_to_pose True"
 
 
 def test_nothing_but_a_velocity_is_commanded_whatever_somebody_has_written_into_that_file(
@@ -228,6 +233,7 @@ def test_nothing_but_a_velocity_is_commanded_whatever_somebody_has_written_into_
 
 USED = """
 import sys
+import time
 from pathlib import Path
 from robot_runner.core.storage.claim_locks import HeldClaims
 with HeldClaims([sys.argv[1]], "theirs", Path("theirs")):

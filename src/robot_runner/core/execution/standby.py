@@ -12,7 +12,7 @@ import os
 import signal
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack, closing, suppress
 from copy import copy as shallow_copy
 from functools import partial
@@ -49,7 +49,7 @@ from robot_runner.core.links.connect import (
     preload_robot,
     resolved_robot,
 )
-from robot_runner.core.links.goal_cancelling import cancel_all_goals, keep_cancelling_goals
+from robot_runner.core.links.goal_cancelling import keep_cancelling_goals
 from robot_runner.core.links.kinds import link_key
 from robot_runner.core.links.robot import RobotLink
 from robot_runner.core.plugin import System
@@ -247,16 +247,24 @@ class Standby:
     def _make_safe(self, connection: _Connection) -> list[str]:
         """Stop the robot on each topic, make each system safe, and stop the robot again; a failure skips no step.
 
+        Goals are cancelled meanwhile, as the server of an action may hang.
+
         Returns:
             what remains doubtful: topics without a subscriber, and what systems warn of.
         """
-        commanded, unheard = self.state.commanded, list[str]()
-        commanded.sort(key=lambda each: each.message_type != CANCELLING)  # a server that hangs delays no zero
-        with ExitStack() as each_of_them:  # the last one first, as the run does it
-            each_of_them.callback(lambda: unheard.extend(connection.stop_again(commanded)))
+        actions = [each for each in self.state.commanded if each.message_type == CANCELLING]
+        topics = [each for each in self.state.commanded if each.message_type != CANCELLING]
+        unheard, cancelling = list[str](), list[Future[None]]()
+        with ThreadPoolExecutor(max(1, len(actions))) as threads, ExitStack() as each_of_them:  # the last one first
+            for each in topics if actions else ():  # the server of an action may have commanded the robot until now
+                each_of_them.callback(connection.stop, each)
+            each_of_them.callback(lambda: [each.result() for each in cancelling])
+            each_of_them.callback(lambda: unheard.extend(connection.stop_again(topics)))
             for system in self.systems:
                 each_of_them.callback(made_safe, system, connection.contexts(system.name))
-            for each in commanded:  # a config, which has no `make_safe`, may have commanded, too
+            for each in actions:
+                each_of_them.callback(lambda at: cancelling.append(connection.begin_cancelling(at, threads)), each)
+            for each in topics:  # a config, which has no `make_safe`, may have commanded, too
                 each_of_them.callback(connection.stop, each)
         gone = [f"nobody subscribes to {enumerated(sorted(unheard))} any more"] if unheard else []
         return [*gone, *connection.warnings]
@@ -293,32 +301,27 @@ class _Connection:
         return self._resources.open(link_key("graph", graph), opener)
 
     def stop(self, commanded: Commanded) -> None:
-        """Publish a zero velocity, or cancel the goals of an action."""
-        link = self._link(commanded.graph)
-        if commanded.message_type == CANCELLING:
-            cancel_all_goals(link, commanded.topic)
-        else:
-            link.publish(commanded.topic, commanded.message_type, {})
+        """Publish a zero velocity."""
+        self._link(commanded.graph).publish(commanded.topic, commanded.message_type, {})
+
+    def begin_cancelling(self, commanded: Commanded, threads: ThreadPoolExecutor) -> Future[None]:
+        """Cancel the goals of an action in a thread, for some seconds; the future raises what that does."""
+        return threads.submit(keep_cancelling_goals, self._link(commanded.graph), commanded.topic)
 
     def stop_again(self, commanded: Sequence[Commanded]) -> list[str]:
-        """Repeat that for some seconds, on all graphs at once, and until every subscriber of a topic is reached.
+        """Repeat the zero velocity for some seconds, on all graphs at once, and until every subscriber is reached.
 
         Returns:
             the topics without any subscriber.
 
         Raises:
-            LinkError: a subscriber of a topic is not reached, or goals cannot be cancelled.
+            LinkError: a subscriber of a topic is not reached.
         """
         by_graph: dict[str, list[tuple[str, str]]] = {}
-        goals = [each for each in commanded if each.message_type == CANCELLING]
         for topic, message_type, graph in commanded:
-            if message_type != CANCELLING:
-                by_graph.setdefault(graph, []).append((topic, message_type))
-        with ThreadPoolExecutor(max(1, len(commanded))) as threads:
+            by_graph.setdefault(graph, []).append((topic, message_type))
+        with ThreadPoolExecutor(max(1, len(by_graph))) as threads:
             told = [threads.submit(keep_commanding_zero, self._link(graph), at) for graph, at in by_graph.items()]
-            cancelled = [threads.submit(keep_cancelling_goals, self._link(each.graph), each.topic) for each in goals]
-        for each in cancelled:
-            each.result()
         return [topic for each in told for topic in each.result()]
 
     def close(self) -> None:

@@ -4,7 +4,7 @@ import { showIndex } from "./index.js";
 import * as experiment from "./experiment.js";
 
 const page = { about: null, source: null, shown: null, retry: 0, heard: 0 };
-// How long a tab that nobody sees waits between its looks. Something comes every 15 s; who hears nothing for longer is cut off.
+// How long a tab that nobody sees waits between its looks. Something comes every 15 s; a tab that receives nothing for longer has lost its connection.
 const REST_MS = 10000, SILENT_MS = 40000;
 
 // ---- light and dark
