@@ -5,8 +5,8 @@ from __future__ import annotations
 import os
 import signal
 import time
-from collections.abc import Callable
-from contextlib import closing
+from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -53,14 +53,10 @@ OF_CALLBACK = f"""
 STOPPED_WITHIN = 3.0
 
 
-@pytest.mark.long
-@over("ros1", soak=["dds"])
-def test_when_the_run_is_killed_its_goal_is_cancelled_and_the_safe_message_is_published(
-    graph: str, start: Start, write_config: Callable[..., Path]
-) -> None:
-    head = HEAD.replace("import *\n", "import *\nfrom robot_runner.plugins.systems import *\n", 1)
+@contextmanager
+def driven(graph: str) -> Iterator[tuple[Any, Any, DriveServer]]:
+    """Offer an action that drives a robot without a watchdog; yield who sees it, a link to it, and the server."""
     name = RobotName.parse(graph)
-    lamp: list[str] = []
     with (
         simulated_robot(graph, "--namespace", "/alice", "--no-watchdog"),
         witness(graph, "/alice") as seen,
@@ -68,6 +64,17 @@ def test_when_the_run_is_killed_its_goal_is_cancelled_and_the_safe_message_is_pu
     ):
         server = DriveServer(link, SystemClock())
         link.offer_action(ACTION, ACTION_TYPE, server.execute)
+        yield seen, link, server
+
+
+@pytest.mark.long
+@over("ros1", soak=["dds"])
+def test_when_the_run_is_killed_its_goal_is_cancelled_and_the_safe_message_is_published(
+    graph: str, start: Start, write_config: Callable[..., Path]
+) -> None:
+    head = HEAD.replace("import *\n", "import *\nfrom robot_runner.plugins.systems import *\n", 1)
+    lamp: list[str] = []
+    with driven(graph) as (seen, link, server):
         link.subscribe("/lamp", "std_msgs/String", lambda message: lamp.append(message["data"]))
         experiment = start(config=write_config(CONFIG.format(robot=graph), head=head, table=""))
         moving = seen.sees(0.15)
@@ -91,14 +98,7 @@ def test_when_the_run_is_killed_the_goal_of_its_callback_is_cancelled_too(
     graph: str, start: Start, write_config: Callable[..., Path]
 ) -> None:
     head = HEAD.replace("import *\n", "import *\nfrom robot_runner.plugins import connect_robot\n", 1)
-    name = RobotName.parse(graph)
-    with (
-        simulated_robot(graph, "--namespace", "/alice", "--no-watchdog"),
-        witness(graph, "/alice") as seen,
-        closing(GRAPH_LINKS[name.link].open(name, SystemClock(), "/alice")) as link,
-    ):
-        server = DriveServer(link, SystemClock())
-        link.offer_action(ACTION, ACTION_TYPE, server.execute)
+    with driven(graph) as (seen, _, server):
         experiment = start(config=write_config(OF_CALLBACK.format(robot=graph), head=head, table=""))
         seen.sees(0.15)
         wait, killed = ProcessorWait(family()), time.time()

@@ -190,7 +190,7 @@ def _readable_by_others(address: RosbridgeAddress) -> Finding:
         problem = f"the password or token for {address.uri} would go over the network for everybody to read"
         return Finding.error("robot", problem, "Reach it by TLS: rosbridge+tls://….")
     problem = (
-        f"{address.uri} is neither encrypted nor signed: whoever is in the network can read it, and move the robot"
+        f"{address.uri} is neither encrypted nor signed: anyone on the network can read its messages and move the robot"
     )
     fix = "Keep the robot in a network of its own, start its server with TLS (rosbridge+tls://…), or go through SSH: "
     fix += f"ssh -L {address.port}:localhost:{address.port}"
