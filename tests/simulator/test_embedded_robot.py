@@ -10,7 +10,9 @@ import pytest
 from robot_runner.core.errors import LinkError
 from robot_runner.core.events.resources import Resources
 from robot_runner.core.links.connect import open_clock
+from robot_runner.plugins.systems import BasicTurtlebot3
 from robot_runner.simulator.embedded_robot import simulation_options
+from robot_runner.testing import make_context, rehearse
 
 
 def test_values_have_the_type_of_their_parameter():
@@ -73,3 +75,15 @@ class RobotRunnerConfig(ExperimentConfig):
         anew = [name for name in anew if name.startswith(("mujoco", "numpy", "robot_runner.simulator"))]
         return {"Before": "mujoco" in self.imported, "Anew": " ".join(anew) or "none"}
 """
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("drive_s", [1.5, 2.0, 4.0])
+def test_a_short_mission_whose_way_is_free_is_not_doubted(tmp_path, drive_s):
+    plugin = BasicTurtlebot3(sleep_s=0.3, drive_s=drive_s, task_s=0.5, rotate_s=3.0)
+    context = make_context(tmp_path, plugin, combination={"Task": "Video"})
+    try:
+        rehearse(context, plugin)
+    finally:
+        context.resources.close()
+    assert not context.broker.findings
