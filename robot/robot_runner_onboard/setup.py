@@ -4,7 +4,7 @@ from setuptools import setup
 
 setup(
     name="robot_runner_onboard",
-    version="0.1.0",
+    version="0.2.0",
     packages=["robot_runner_onboard"],
     package_dir={"": "src"},
     data_files=[

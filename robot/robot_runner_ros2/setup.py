@@ -4,7 +4,7 @@ from setuptools import setup
 
 setup(
     name="robot_runner_ros2",
-    version="0.1.0",
+    version="0.2.0",
     packages=["robot_runner_ros2"],
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/robot_runner_ros2"]),

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 import yaml
+from packaging.version import Version
 
 ROOT = Path(__file__).parents[2]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
@@ -58,7 +59,11 @@ def test_a_path_of_one_machine_is_noticed(line: str) -> None:
 def test_the_changelog_tells_of_this_version() -> None:
     changelog = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
     released = re.findall(r"^## \[(\d[^\]]*)\] - \d{4}-\d{2}-\d{2}$", changelog, re.MULTILINE)
-    assert released[0] == PROJECT["version"]
+    if Version(PROJECT["version"]).is_devrelease:
+        assert re.search("^## .*", changelog, re.MULTILINE)[0] == "## [Unreleased]"
+        assert Version(released[0]) < Version(PROJECT["version"])
+    else:
+        assert released[0] == PROJECT["version"]
 
 
 def test_the_citation_names_this_version_and_the_paper() -> None:

@@ -21,7 +21,9 @@ pytestmark = [*map(pytest.mark.filterwarnings, RUDE)]
 ROOT = Path(__file__).parents[3]
 ROBOT = ROOT / "robot"
 PACKAGES = ("robot_runner_onboard", "robot_runner_ros1", "robot_runner_ros2")
-VERSION = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["version"]
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+#: ROS' tools take three numbers only: before a release, the packages have the version that it will have.
+VERSION = PROJECT["version"].partition(".dev")[0]
 IGNORED = shutil.ignore_patterns("__pycache__")
 
 
