@@ -14,8 +14,7 @@ from tests.long_cases import soak_but
 
 from robot_runner import Factor, RunTableModel
 from robot_runner.designs import CoveringArray
-from robot_runner.designs.covering_search import _orthogonal, _starter, pairwise_array
-from robot_runner.designs.covering_triples import triples_array
+from robot_runner.designs.covering_search import _orthogonal, _starter, pairwise_array, triples_array
 
 #: The least rows that are published. The first six: the best of the tools at pairwise.org/efficiency.html (2^100 is
 #: optimal: Kleitman & Spencer, 1973). The others: the product of the two largest numbers of levels, below which

@@ -102,8 +102,8 @@ def test_what_a_plugin_imports_by_relative_imports_of_its_modules_is_found(tmp_p
 
 
 def test_each_module_is_parsed_once_however_many_plugins_import_it(monkeypatch):
-    read, parsed = [], environment.parsed
-    monkeypatch.setattr(environment, "parsed", lambda content: [read.append(content), parsed(content)][1])
+    read, parsed = [], environment.tree_or_empty
+    monkeypatch.setattr(environment, "tree_or_empty", lambda content: [read.append(content), parsed(content)][1])
     for kept in (environment._reached, environment._file_of, environment._imports_of):
         kept.cache_clear()
     plugins = ["robot_runner.meters.psutil:PsUtil", "robot_runner.meters.ina219.profiler:Ina219"]

@@ -17,7 +17,6 @@ from tests.subjects.conftest import gone
 from robot_runner.core.config.preparation import prepare
 from robot_runner.core.errors import PluginError
 from robot_runner.plugins.systems import RosLaunch
-from robot_runner.subjects.subject import Subject
 from robot_runner.testing import FakeLinks, make_context
 
 if TYPE_CHECKING:
@@ -267,13 +266,11 @@ def test_a_launch_file_is_told_the_namespace_of_the_run_s_robot_of_several(
     ],
 )
 def test_an_argument_may_hold_the_namespace_of_the_run_s_robot_and_is_left_out_where_there_is_none(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, robot: str | None, value: str, told: tuple[str, ...]
+    tmp_path: Path, robot: str | None, value: str, told: tuple[str, ...]
 ) -> None:
-    started = []
-    monkeypatch.setattr(Subject, "_begin", lambda launch, *_: started.append(launch.words()))
     launch = RosLaunch("nav", "nav.launch", arguments={"namespace": value}, ros=2)
-    launch._begin(make_context(tmp_path, launch, robot=robot, links=FakeLinks()), tmp_path)
-    assert started == [("ros2", "launch", "nav", "nav.launch", *told)]
+    launch.prepare_start(make_context(tmp_path, launch, robot=robot, links=FakeLinks()))
+    assert launch.words() == ("ros2", "launch", "nav", "nav.launch", *told)
 
 
 def test_what_is_launched_for_all_runs_has_no_robot_of_its_own() -> None:

@@ -10,7 +10,6 @@ import time
 import xmlrpc.client
 from functools import partial
 from pathlib import Path
-from types import SimpleNamespace
 from typing import TYPE_CHECKING
 from xml.dom import minidom
 
@@ -27,7 +26,7 @@ from robot_runner.core.config.preparation import prepare
 from robot_runner.core.errors import PluginError
 from robot_runner.core.links.connect import graph_variables
 from robot_runner.plugins.systems import Program, RosNode
-from robot_runner.subjects.subject import Subject
+from robot_runner.subjects.ros_subject import RosSubject
 from robot_runner.testing import FakeLinks, make_context
 
 if TYPE_CHECKING:
@@ -290,15 +289,14 @@ def test_values_are_the_same_once_they_are_read_as_yaml(value: object) -> None:
     ],
 )
 def test_a_node_is_started_within_the_namespace_of_the_run_s_robot(monkeypatch, tmp_path, robot, namespace, started_in):
-    started = []
-    monkeypatch.setattr(Subject, "_begin", lambda node, *_: started.append(node.words()))
+    monkeypatch.setattr(RosSubject, "prepare_start", lambda *_: None)  # a master of ROS 1 would be asked
     for ros, told in ((1, f'ns="{str(started_in).strip("/")}"'), (2, f"__ns:={started_in}")):
         node = RosNode("nav", "planner", namespace=namespace, ros=ros)
-        node._begin(make_context(tmp_path / str(ros), node, robot=robot, links=FakeLinks()), tmp_path)
-        assert any(told in word for word in started[-1]) is (started_in is not None)
+        node.prepare_start(make_context(tmp_path / str(ros), node, robot=robot, links=FakeLinks()))
+        assert any(told in word for word in node.words()) is (started_in is not None)
         shared = RosNode("nav", "planner", namespace=namespace, ros=ros, per="experiment")
-        shared._begin(make_context(tmp_path / f"all {ros}", shared, robot=robot, links=FakeLinks()), tmp_path)
-        assert started[-1] == shared.words() == RosNode("nav", "planner", namespace=namespace, ros=ros).words()
+        shared.prepare_start(make_context(tmp_path / f"all {ros}", shared, robot=robot, links=FakeLinks()))
+        assert shared.words() == RosNode("nav", "planner", namespace=namespace, ros=ros).words()
 
 
 @pytest.mark.parametrize(
@@ -344,7 +342,7 @@ def test_nodes_of_this_computer_write_their_logs_beside_their_output_unless_they
     options: dict, folder: dict[str, str]
 ) -> None:
     node = RosNode("nav", "planner", ros=2, **options)
-    assert node.variables(SimpleNamespace(folder=Path("/results/Nav"))) == folder
+    assert node.variables(Path("/results/Nav")) == folder
 
 
 @pytest.mark.parametrize(

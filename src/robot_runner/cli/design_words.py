@@ -203,17 +203,13 @@ def batch_as_json(batch: Batch) -> dict[str, Any]:
     return {**batch.summary(), "order": batch_order_in_words(batch)}
 
 
-def order_in_words(model: RunTableModel) -> str:
-    """Return in which order the runs are executed."""
+def order_in_words(model: RunTableModel, seed: int | None = None) -> str:
+    """Return in which order the runs are executed, batch by batch; `seed` is that of a table that was made."""
     is_known = model.seed_is_given or model.seed_is_registered
-    seed = f"from seed {model.seed}" if is_known else "from a seed that is drawn at the start and recorded"
-    first = shown_order(shuffle=model.shuffle, blocks=model.blocks, origin=f", {seed}")
-    return "; ".join([first, *later_orders_in_words(model)])
-
-
-def later_orders_in_words(model: RunTableModel) -> list[str]:
-    """Return in which order the runs of each batch are executed that was added to the first plan."""
-    return [f"batch {batch.number} {batch_order_in_words(batch)}" for batch in model.batches[1:]]
+    origin = f", from seed {model.seed}" if is_known else ", from a seed that is drawn at the start and recorded"
+    origin = origin if seed is None else f" from seed {seed}"
+    first = shown_order(shuffle=model.shuffle, blocks=model.blocks, origin=origin)
+    return "; ".join([first, *(f"batch {each.number} {batch_order_in_words(each)}" for each in model.batches[1:])])
 
 
 def measures_in_words(columns: MeasureColumns) -> str:

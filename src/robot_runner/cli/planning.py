@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from robot_runner.cli.console import quiet_loading, shown_path
-from robot_runner.cli.design_words import later_orders_in_words, shown_order
+from robot_runner.cli.design_words import order_in_words
 from robot_runner.core.config.checks import create_model, read_parameters
 from robot_runner.core.config.dialects import load_config
 from robot_runner.core.config.experiment import event_manager_for, experiment_folder, extended_model
@@ -74,15 +74,8 @@ class Plan:
     def order(self) -> str:
         """How the runs were put in order, and how many were executed out of it."""
         moved = moved_in_words(moved_runs([run.run_id for run in self.runs], self.executed), self.executed)
-        return f"{self._order_of_table}; {moved}" if moved else self._order_of_table
-
-    @property
-    def _order_of_table(self) -> str:
-        if self.source is not None:
-            return f"as in {shown_path(self.source)}"
-        model = self.model
-        first = shown_order(shuffle=model.shuffle, blocks=model.blocks, origin=f" from seed {self.seed}")
-        return "; ".join([first, *later_orders_in_words(model)])
+        order = f"as in {shown_path(self.source)}" if self.source else order_in_words(self.model, self.seed)
+        return f"{order}; {moved}" if moved else order
 
     @property
     def how_to_repeat(self) -> str:

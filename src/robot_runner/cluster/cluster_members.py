@@ -8,6 +8,7 @@ import os
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -130,7 +131,7 @@ async def joined(client: Client, member: Member, facts: Mapping[str, Any]) -> li
                 await answer_of(client, member, lease, on_worker.take_inputs, facts["session"], pieces)
         except StorageError as error:
             return [_plain(finding) for finding in error.findings]
-    await answer_of(client, member, lease, _settle, facts["session"], is_shared)
+    await answer_of(client, member, lease, partial(on_worker.settle, is_shared=is_shared), facts["session"])
     if unfitness := await _unfitness(client, member, facts):  # found now, so that it does not cost a run an attempt
         await answer_of(client, member, lease, on_worker.leave, facts["session"])
         fix = "Correct this there, and start the worker again."
@@ -145,10 +146,6 @@ async def _unfitness(client: Client, member: Member, facts: Mapping[str, Any]) -
     while found is None:
         found = await answer_of(client, member, lease, on_worker.unfitness, session, lease / 4)
     return str(found)
-
-
-def _settle(session: str, is_shared: bool) -> None:
-    on_worker.settle(session, is_shared=is_shared)
 
 
 def _inputs_in(root: Path) -> Iterator[list[tuple[str, bytes]]]:

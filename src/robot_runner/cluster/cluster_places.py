@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import hashlib
 import os
-import re
 import time
 from collections.abc import Collection, Mapping, Sequence
 from typing import Any
@@ -16,15 +15,19 @@ from typing import Any
 from robot_runner.cluster.cluster_checks import cluster_settings
 from robot_runner.cluster.experiment_snapshot import snapshot_of
 from robot_runner.cluster.piped_process import PipedProcess
-from robot_runner.cluster.run_at_worker import LOOK_AT_ROBOT, RunAtWorker, may_be_left_moving
+from robot_runner.cluster.run_at_worker import (
+    LOOK_AT_ROBOT,
+    ClusterPlace,
+    RunAtWorker,
+    may_be_left_moving,
+    resource_of,
+)
 from robot_runner.core.config.experiment import Experiment
 from robot_runner.core.errors import ExecutionError, Finding
 from robot_runner.core.execution.left_processes import MARK_OF_ELSEWHERE, RunsElsewhere, forget_runs_elsewhere
-from robot_runner.core.execution.places import Watch
 from robot_runner.core.execution.standby import RETRYING
-from robot_runner.core.execution.task import OutcomeBuilder, RunTask
 from robot_runner.core.links.connect import is_simulated
-from robot_runner.core.plugin import THIS_MACHINE, System
+from robot_runner.core.plugin import System
 from robot_runner.core.storage import guarded_files
 from robot_runner.core.words import listed
 
@@ -201,7 +204,10 @@ class ClusterPlaces:
             return
         replies, is_open = self._gateway.replies()
         for kind, fields in replies:
-            self._take(kind, fields)
+            if "token" in fields:
+                self._take_of_run(kind, fields)
+            else:
+                self._take(kind, fields)
         if not is_open:
             self._is_gone = True
             self._end_of_gateway += f" with code {self._gateway.wait(_GOODBYE)}"
@@ -212,33 +218,32 @@ class ClusterPlaces:
             for run in self._runs.values():
                 run.lose(self._end_of_gateway, until)
 
-    def _take(self, kind: str, fields: dict[str, Any]) -> None:
-        run = self._runs.get(fields.get("token", ""))
-        if kind == "settings":
-            self._set(**fields)
-        elif kind == "connected":
-            self._is_connected, self._changed = True, time.monotonic()
-        elif kind == "unconnected":
-            self._is_connected = False
-            self._say(f"cluster {self._address}", fields["because"], fields["fix"])
-        elif kind not in {"records", "over"}:
-            self._take_of_worker(kind, fields)
-        elif run is not None and kind == "records":
+    def _take_of_run(self, kind: str, fields: dict[str, Any]) -> None:
+        run = self._runs.get(fields["token"])
+        if run is not None and kind == "records":
             run.take(fields["records"])
         elif run is not None:
             run.end(fields)
 
-    def _take_of_worker(self, kind: str, fields: dict[str, Any]) -> None:
-        if kind == "joined":
-            self._add(fields)
-        elif kind == "joining":
-            self._joining.add(fields["address"])
-        elif kind == "refused":
-            self._joining.discard(fields["address"])
-            for each in fields["findings"]:
-                self._say(each["where"], each["problem"], each["fix"])
-        else:
-            self._set_aside(kind, fields)
+    def _take(self, kind: str, fields: dict[str, Any]) -> None:
+        match kind:
+            case "settings":
+                self._set(**fields)
+            case "connected":
+                self._is_connected, self._changed = True, time.monotonic()
+            case "unconnected":
+                self._is_connected = False
+                self._say(f"cluster {self._address}", fields["because"], fields["fix"])
+            case "joining":
+                self._joining.add(fields["address"])
+            case "joined":
+                self._add(fields)
+            case "refused":
+                self._joining.discard(fields["address"])
+                for each in fields["findings"]:
+                    self._say(each["where"], each["problem"], each["fix"])
+            case "gone" | "aside":
+                self._set_aside(kind, fields)
 
     @property
     def _told_alone_at(self) -> float | None:
@@ -332,54 +337,3 @@ def _lack_of(claims: Sequence[str]) -> tuple[str, str]:
     if len(claims) == 1:
         return f"claim {claims[0]}", _NOT_OFFERED
     return f"claims {listed(claims)}", _NOT_TOGETHER
-
-
-def resource_of(claim: str) -> str:
-    """Return the resource of Dask's that stands for a claim: `--resources` can have no space, comma or second `=`.
-
-    Example:
-        >>> resource_of("robot:alice"), resource_of("robot:dds:domain=7")
-        ('robot:alice', 'robot:dds:domain_7')
-    """
-    return re.sub(r"[\s,=]", "_", claim)
-
-
-class ClusterPlace:
-    """One thread of a worker: it executes one run at a time.
-
-    Attributes:
-        worker: what is known of it: `address`, `name`, `worker` (its id), `host`, and the names of its `resources`.
-        slot: 0: a run there has no files here while it is executed.
-    """
-
-    slot = 0
-
-    def __init__(self, places: ClusterPlaces, experiment: Experiment, worker: Mapping[str, Any], thread: int) -> None:
-        self.experiment = experiment
-        self.worker = worker
-        self.is_unavailable = False
-        self.is_busy = False
-        self.name = worker["name"] if worker["threads"] == 1 else f"{worker['name']}/{thread}"
-        self._places = places
-        self._claims: tuple[str, ...] = ()
-
-    def claimed(self, claims: Collection[str], combination: Mapping[str, object]) -> frozenset[str] | None:
-        """Return what a run would hold here; None where this worker does not offer it as a resource of Dask's.
-
-        The worker itself is offered by every worker.
-        """
-        del combination
-        offered = self.worker["resources"]
-        needed = [claim for claim in claims if claim != THIS_MACHINE]
-        if not set(map(resource_of, needed)) <= {*offered}:
-            self._places.miss(needed)
-            return None
-        self._claims = tuple(map(resource_of, claims))  # the last one asked for before `begin` is the run's
-        return frozenset(f"host:{self.worker['host']}" if claim == THIS_MACHINE else claim for claim in claims)
-
-    def begin(self, task: RunTask, builder: OutcomeBuilder, watch: Watch) -> RunAtWorker:
-        """Order one attempt at a run from the worker."""
-        run = RunAtWorker(self, self._places, builder, watch)
-        self.is_busy = True
-        run.order(task, self._claims)
-        return run

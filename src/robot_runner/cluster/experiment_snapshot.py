@@ -8,13 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from robot_runner.core.config.checks import announced_checks
 from robot_runner.core.config.experiment import Experiment
 from robot_runner.core.config.plugin_checks import check_plugins
-from robot_runner.core.config.preparation import prepare
+from robot_runner.core.config.preparation import prepare_or_refuse
 from robot_runner.core.design.batches import GROWTH
 from robot_runner.core.errors import ConfigError, ExecutionError, Finding
 from robot_runner.core.execution.resumption import config_files
@@ -79,12 +80,14 @@ def experiment_of(snapshot: Mapping[str, Any], folder: Path) -> Experiment:
         path.write_bytes(text.encode("latin-1"))
     settings = {**snapshot["set"], "cluster": _NO_CLUSTER, "results_output_path": str(folder / "experiments")}
     path = folder / SOURCE / snapshot["config"]
+    # Not for here: the orchestrator has checked the disk space for all runs, and the registration.
+    load = partial(prepare_or_refuse, path, settings, is_for_here=False)
     if snapshot["batches"]:  # the design has grown; the folder of its journal is known once the config is loaded
-        name = _loaded(path, settings).parameters.experiment_name
+        name = load().parameters.experiment_name
         journal = ExperimentFolder(folder / "experiments" / name).journal
         journal.parent.mkdir(parents=True, exist_ok=True)
         journal.write_text(snapshot["batches"], encoding="utf-8")
-    experiment = _loaded(path, settings)
+    experiment = load()
     _refuse_unfit(experiment, snapshot["revisions"])
     restore_revisions(experiment.model.factors, snapshot["revisions"])
     experiment.folder.root.mkdir(parents=True, exist_ok=True)
@@ -109,14 +112,6 @@ def inputs_of(kept: Path, folder: Path) -> Iterator[None]:
     copy_kept(kept, folder / SOURCE)
     with kept_copies(kept, folder / SOURCE):
         yield
-
-
-def _loaded(path: Path, settings: Mapping[str, str]) -> Experiment:
-    # Not the disk space for all runs, nor the registration: the orchestrator has checked both.
-    preparation = prepare(path, settings, is_for_here=False)
-    if preparation.experiment is None:
-        raise ConfigError.of_findings(preparation.findings)
-    return preparation.experiment
 
 
 def _refuse_unfit(experiment: Experiment, revisions: Sequence[Sequence[str]]) -> None:

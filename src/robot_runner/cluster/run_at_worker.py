@@ -1,8 +1,9 @@
-"""A run that a worker of a cluster executes, on the orchestrator's side."""
+"""A thread of a worker of a cluster as a place, and a run that it executes, on the orchestrator's side."""
 
 from __future__ import annotations
 
 import os
+import re
 import time
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
@@ -14,6 +15,7 @@ from robot_runner.core.execution.places import Watch
 from robot_runner.core.execution.task import OutcomeBuilder, RunOutcome, RunTask
 from robot_runner.core.execution.worker import described_task
 from robot_runner.core.links.connect import is_simulated
+from robot_runner.core.plugin import THIS_MACHINE
 from robot_runner.core.storage.journal import seconds_of
 from robot_runner.core.words import shown_duration
 
@@ -37,7 +39,7 @@ _CLOCKS_DIFFER = 1.0
 
 
 class Orders(Protocol):
-    """What all runs share: the process that speaks to the cluster, and who takes its replies."""
+    """What all runs and places share: the process that speaks to the cluster, and who takes its replies."""
 
     @property
     def descriptors(self) -> Collection[int]:
@@ -59,19 +61,65 @@ class Orders(Protocol):
     def take_replies(self) -> None:
         """Take what it tells."""
 
+    def miss(self, claims: Collection[str]) -> None:
+        """Take down that a worker does not offer all that a run claims."""
 
-class Seat(Protocol):
-    """A thread of a worker, as the run that it executes sees it."""
 
-    experiment: Experiment
-    worker: Mapping[str, Any]
-    is_busy: bool
+def resource_of(claim: str) -> str:
+    """Return the resource of Dask's that stands for a claim: `--resources` can have no space, comma or second `=`.
+
+    Example:
+        >>> resource_of("robot:alice"), resource_of("robot:dds:domain=7")
+        ('robot:alice', 'robot:dds:domain_7')
+    """
+    return re.sub(r"[\s,=]", "_", claim)
+
+
+class ClusterPlace:
+    """One thread of a worker: it executes one run at a time.
+
+    Attributes:
+        worker: what is known of it: `address`, `name`, `worker` (its id), `host`, and the names of its `resources`.
+        slot: 0: a run there has no files here while it is executed.
+    """
+
+    slot = 0
+
+    def __init__(self, places: Orders, experiment: Experiment, worker: Mapping[str, Any], thread: int) -> None:
+        self.experiment = experiment
+        self.worker = worker
+        self.is_unavailable = False
+        self.is_busy = False
+        self.name = worker["name"] if worker["threads"] == 1 else f"{worker['name']}/{thread}"
+        self._places = places
+        self._claims: tuple[str, ...] = ()
+
+    def claimed(self, claims: Collection[str], combination: Mapping[str, object]) -> frozenset[str] | None:
+        """Return what a run would hold here; None where this worker does not offer it as a resource of Dask's.
+
+        The worker itself is offered by every worker.
+        """
+        del combination
+        offered = self.worker["resources"]
+        needed = [claim for claim in claims if claim != THIS_MACHINE]
+        if not set(map(resource_of, needed)) <= {*offered}:
+            self._places.miss(needed)
+            return None
+        self._claims = tuple(map(resource_of, claims))  # the last one asked for before `begin` is the run's
+        return frozenset(f"host:{self.worker['host']}" if claim == THIS_MACHINE else claim for claim in claims)
+
+    def begin(self, task: RunTask, builder: OutcomeBuilder, watch: Watch) -> RunAtWorker:
+        """Order one attempt at a run from the worker."""
+        run = RunAtWorker(self, self._places, builder, watch)
+        self.is_busy = True
+        run.order(task, self._claims)
+        return run
 
 
 class RunAtWorker:
     """One attempt at a run that a worker executes."""
 
-    def __init__(self, place: Seat, places: Orders, builder: OutcomeBuilder, watch: Watch) -> None:
+    def __init__(self, place: ClusterPlace, places: Orders, builder: OutcomeBuilder, watch: Watch) -> None:
         self._place = place
         self._places = places
         self._builder = builder

@@ -90,7 +90,7 @@ class CoveringArray(Described):
         found = _greedy(levels, self.strength, constraints, Random(self.seed))  # noqa: S311 - reproducible
         if self.strength != _TRIPLES or not constraints.is_free:
             return found
-        from robot_runner.designs.covering_triples import triples_array  # noqa: PLC0415 - its library is an extra
+        from robot_runner.designs.covering_search import triples_array  # noqa: PLC0415 - its library is an extra
 
         made = [list(map(int, row)) for row in triples_array(levels, self.seed)]
         return min(found, _without_spare(made, _TRIPLES), key=len)

@@ -1,14 +1,15 @@
-"""Covering arrays of strength two: structured initial arrays, completed column by column by a tabu search.
+"""Covering arrays of strength two and three.
 
 An array has a row for each run and a column for each factor; its symbols are treatment indices. A pair of columns is
-covered if each pair of their symbols is in some row.
+covered if each pair of their symbols is in some row. For pairs, structured initial arrays are completed column by
+column by a tabu search; for triples, arrays are constructed.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from functools import lru_cache
-from itertools import combinations, count
+from itertools import combinations, count, product
 from math import comb
 
 import numpy as np
@@ -27,6 +28,7 @@ _TENURE = 4
 #: Fields of prime powers: the prime, and the polynomial of lower degree that x^n equals, its constant first.
 _FIELDS = {4: (2, (1, 1)), 8: (2, (1, 1, 0)), 9: (3, (1, 2)), 16: (2, (1, 1, 0, 0))}
 _PRIMES = (2, 3, 5, 7, 11, 13, 17, 19, 23)
+_ORDERS = tuple(sorted((*_PRIMES, *_FIELDS)))
 
 
 def pairwise_array(levels: Sequence[int], seed: int) -> Array:
@@ -97,7 +99,7 @@ def _bases(levels: list[int], random: np.random.Generator) -> Iterator[Array]:
 
 
 def _uniform(symbols: int, columns: int, random: np.random.Generator) -> Iterator[Array]:
-    order = next((each for each in sorted((*_PRIMES, *_FIELDS)) if each >= symbols), None)
+    order = next((each for each in _ORDERS if each >= symbols), None)
     if order is not None:
         yield _orthogonal(order)
         if columns > order + 1:
@@ -111,18 +113,13 @@ def _uniform(symbols: int, columns: int, random: np.random.Generator) -> Iterato
 @lru_cache
 def _orthogonal(order: int) -> Array:
     """Return the orthogonal array of a field: order² rows, order + 1 columns (Bush, 1952), constant rows first."""
-    plus, times = field_of(order)
+    plus, times = _field_of(order)
     slope, shift = np.divmod(np.arange(order**2), order)
     columns = [plus[times[slope, point], shift] for point in range(order)]
     return np.column_stack([*columns, slope])
 
 
-def is_field(order: int) -> bool:
-    """Return whether the field of this order is available here."""
-    return order in _PRIMES or order in _FIELDS
-
-
-def field_of(order: int) -> tuple[Array, Array]:
+def _field_of(order: int) -> tuple[Array, Array]:
     """Return the tables of addition and multiplication of a finite field."""
     prime, reduced = _FIELDS.get(order, (order, (0,)))
     operations = finite_field(prime, len(reduced), reduced)
@@ -288,3 +285,63 @@ class _Completing:
         self._cells[:, column] = best
         self._mark(column)
         return least
+
+
+# Triples: orthogonal arrays, and the doubling of columns.
+
+_TRIPLE = 3
+#: The columns of Paley's Hadamard matrix of order 12, which cover all triples of two symbols.
+_PALEY = 11
+
+
+def triples_array(levels: Sequence[int], seed: int) -> Array:
+    """Return an array that covers each triple of symbols of any three columns, (rows, columns).
+
+    It is made for the largest number of symbols; in columns with fewer, the others are replaced.
+    """
+    best = min(_arrays(max(levels), len(levels), seed), key=len)
+    return np.asarray(best % np.asarray(levels))
+
+
+def _arrays(symbols: int, columns: int, seed: int) -> Iterator[Array]:
+    if columns <= _TRIPLE:
+        yield np.array(list(product(range(symbols), repeat=columns)))
+        return
+    wide = (each for each in _ORDERS if columns <= each + (2 if each % 2 == 0 else 1))
+    order = next((each for each in wide if symbols <= each <= 2 * symbols), None)
+    if order is not None:
+        yield _orthogonal_triples(order)[:, :columns] % symbols
+    if symbols == 2 and columns <= _PALEY:  # noqa: PLR2004
+        yield _paley()[:, :columns]
+    yield _doubled(symbols, columns, seed)
+
+
+def _orthogonal_triples(order: int) -> Array:
+    """Return the orthogonal array of strength three of a field (Bush, 1952): polynomials of degree two.
+
+    It has order³ rows and order + 1 columns, or order + 2 columns if the order is even.
+    """
+    plus, times = _field_of(order)
+    shift, slope, curve = (each.ravel() for each in np.indices((order, order, order)))
+    columns = [plus[plus[shift, times[slope, x]], times[curve, times[x, x]]] for x in range(order)]
+    return np.column_stack([*columns, curve, *([slope] if order % 2 == 0 else [])])
+
+
+def _paley() -> Array:
+    """Return 12 rows that cover all triples of 11 columns: Paley's matrix (1933) without its constant column."""
+    squares = {number**2 % _PALEY for number in range(1, _PALEY)}
+    rows = [[int((column - row) % _PALEY in squares) for column in range(_PALEY)] for row in range(_PALEY)]
+    return np.array([[1] * _PALEY, *rows])
+
+
+def _doubled(symbols: int, columns: int, seed: int) -> Array:
+    """Return an array by doubling: one of half the columns, twice side by side, and pairs beside each of their shifts.
+
+    Source: Roux (1987) for two symbols; Chateauneuf and Kreher, On the state of strength-three covering arrays,
+    Journal of Combinatorial Designs 10 (2002), 217-238.
+    """
+    half = -(-columns // 2)
+    triples = min(_arrays(symbols, half, seed), key=len)
+    pairs = pairwise_array([symbols] * half, seed)
+    shifted = [np.hstack([pairs, (pairs + shift) % symbols]) for shift in range(1, symbols)]
+    return np.vstack([np.hstack([triples, triples]), *shifted])[:, :columns]

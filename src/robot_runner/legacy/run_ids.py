@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
 
-from robot_runner.core.config.source import parsed
+from robot_runner.core.config.source import tree_or_empty
 from robot_runner.legacy.recognition import Dialect, Recognised
 from robot_runner.legacy.syntax import bound_names, imports_of
 
@@ -55,10 +55,7 @@ class Clone:
 
     def defines(self, module: str, name: str) -> bool:
         """Return whether the clone's version of a module binds a name."""
-        try:
-            return name in bound_names(parsed(self.text_of(module)).body)
-        except (SyntaxError, ValueError):
-            return False
+        return name in bound_names(tree_or_empty(self.text_of(module)).body)
 
 
 def clone_around(config: Path) -> Clone:

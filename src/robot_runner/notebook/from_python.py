@@ -6,7 +6,7 @@ import re
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -139,13 +139,9 @@ def run_experiment(  # noqa: PLR0913 - one keyword for each thing that the comma
     texts = as_texts(settings or {})
     if folder is not None:
         texts["results_output_path"] = str(Path(folder).expanduser().absolute())
-    asked: dict[str, Any] = {
-        "accept_changes": accept_changes,
-        "redo": runs_named("redo", redo),
-        "only": runs_named("only", only),
-        "probe": probe,
-    }
-    resumption = Resumption(**asked)
+    resumption = Resumption(
+        accept_changes=accept_changes, redo=runs_named("redo", redo), only=runs_named("only", only), probe=probe
+    )
     if not isinstance(config, str | Path) and not is_config(config):
         raise ConfigError(
             f"{config!r} is not a config",
@@ -153,14 +149,13 @@ def run_experiment(  # noqa: PLR0913 - one keyword for each thing that the comma
             fix="Give the path of a config file, a class with create_run_table, or an instance of one.",
         )
     with _said_for_python():
-        return _carried_out(config, texts, resumption, asked, say, observer)
+        return _carried_out(config, texts, resumption, say, observer)
 
 
 def _carried_out(
     config: Any,
     texts: Mapping[str, str],
     resumption: Resumption,
-    asked: Mapping[str, Any],
     say: Callable[[str], object] | None,
     observer: notices.Observer | None,
 ) -> ExperimentResults:
@@ -172,10 +167,9 @@ def _carried_out(
             where="run_experiment",
             fix="Take lines by say=print, or call it in the main thread of a program without other threads.",
         )
-
     if isinstance(config, str | Path):
         path = str(Path(config).expanduser().absolute())
-        request = {"config": path, "texts": texts, "asked": asked}
+        request = {"config": path, "texts": texts, "asked": asdict(resumption)}
         return _results(execute_in_interpreter(f"{__name__}:requested", request, say))
 
     def work(tell: Callable[[str], object]) -> notices.ExperimentFinished:

@@ -88,8 +88,7 @@ class Channel:
     """Something followed, its viewers, and the task that looks at it while there are any."""
 
     def __init__(self, followed: Followed, every: float) -> None:
-        self._look, self._snapshot, self._every = followed.look, followed.snapshot, every
-        self._followed = followed
+        self._followed, self._every = followed, every
         self._viewers: set[Viewer] = set()
         self._last: dict[str, bytes] = {}
         self._task: asyncio.Task[None] | None = None
@@ -114,7 +113,7 @@ class Channel:
         await self.has_looked.wait()
         viewer = Viewer()
         async with self._turn:
-            for name, data in (await asyncio.to_thread(self._snapshot)).items():
+            for name, data in (await asyncio.to_thread(self._followed.snapshot)).items():
                 viewer.put(_event(name, data))
             self._viewers.add(viewer)
         return viewer
@@ -132,7 +131,7 @@ class Channel:
     async def _follow(self) -> None:
         while self._viewers or time.monotonic() - self.used_at < _PATIENCE:
             async with self._turn:
-                self._tell(await asyncio.to_thread(self._look))
+                self._tell(await asyncio.to_thread(self._followed.look))
             self.has_looked.set()
             await asyncio.sleep(_AT_ONCE if self._followed.is_behind else self._every)
         self.has_looked.clear()

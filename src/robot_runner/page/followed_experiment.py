@@ -43,6 +43,10 @@ class FollowedExperiment:
 
     Args:
         folder: the experiment's; it need not exist yet.
+
+    Attributes:
+        table: its run table.
+        robot: how the robot is reached, if pictures of it can be made; None otherwise.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -66,7 +70,7 @@ class FollowedExperiment:
         self._table_is_due, self._has_caught_up = True, False
         self._refused_table = (0, 0)
         self._since_table: dict[str, Mapping[str, Any]] = {}
-        self._robot: str | None = None
+        self.robot: str | None = None
         self._left_out: set[int] = set()
 
     @property
@@ -196,7 +200,7 @@ class FollowedExperiment:
         self._error = None
         if self._has_caught_up and self._files.manifest.exists():
             self._status = status_of(self._files, self._history)
-            self._robot = self._robot or _pictured(read_manifest(self._files.manifest).get("robot"))
+            self.robot = self.robot or _pictured(read_manifest(self._files.manifest).get("robot"))
         elif self._has_caught_up and self._files.run_table.exists():
             self._status = read_status(self.folder)
         self._mark_in_flight()
@@ -272,7 +276,7 @@ class FollowedExperiment:
             "precision": [*status.precision, *filter(None, [status.decided])],
             "order": status.order,
             "damaged": self._tail.damaged,
-            "has_pictures": self._robot is not None,
+            "has_pictures": self.robot is not None,
             "has_report": (self._files.report / "report.html").is_file(),
             "problem": None,
         }
@@ -363,11 +367,6 @@ class FollowedExperiment:
         while curves.look():
             pass
         return curves.told()
-
-    @property
-    def robot(self) -> str | None:
-        """How the robot is reached, if pictures of it can be made; None otherwise."""
-        return self._robot
 
     def pose(self, run_id: str) -> tuple[float, float, float] | None:
         """Return the last known pose of the robot in a run (m, m, rad), or None."""

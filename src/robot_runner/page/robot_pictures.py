@@ -1,19 +1,27 @@
-"""Pictures of simulated robots, rendered by another process off screen."""
+"""Pictures of simulated robots, rendered off screen by another process, as a graphics library may block, leak or crash.
+
+It gets poses on its standard input, and writes pictures to its standard output.
+"""
 
 from __future__ import annotations
 
 import json
 import os
 import select
+import struct
 import subprocess
 import sys
 import threading
 import time
 from contextlib import suppress
 
+from robot_runner.core.entry_points import named_entry_point
 from robot_runner.core.errors import ExecutionError
-from robot_runner.page.picture_process import HEAD
 
+#: Width and height, pixels: enough for a phone, rendered in 20 ms without a graphics card.
+_SIZE = (480, 360)
+#: The header of each answer: its length, and whether it is a picture (1) or the reason why there is none (0).
+_HEAD = struct.Struct(">IB")
 #: How long the first picture may take, with the imports, and each further one, s.
 _FIRST, _NEXT = 30.0, 5.0
 #: The shortest time between two rendered pictures, for all viewers together, s: an experiment may need the processor.
@@ -87,7 +95,7 @@ class RobotPictures:
         raise self._refusal()
 
     def _started(self, way: str) -> subprocess.Popen[bytes]:
-        command = [sys.executable, "-P", "-m", "robot_runner.page.picture_process", self._kind]
+        command = [sys.executable, "-P", "-m", __name__, self._kind]
         return subprocess.Popen(  # noqa: S603 - our own program
             command,
             stdin=subprocess.PIPE,
@@ -116,7 +124,7 @@ def _asked(process: subprocess.Popen[bytes], pose: Pose, patience: float) -> byt
         process.stdin.write(f"{json.dumps(pose)}\n".encode())
         process.stdin.flush()
     end = time.monotonic() + patience
-    length, is_picture = HEAD.unpack(_read(process.stdout.fileno(), HEAD.size, end))
+    length, is_picture = _HEAD.unpack(_read(process.stdout.fileno(), _HEAD.size, end))
     if length > _LARGEST:
         raise ValueError("the picture is too large")
     data = _read(process.stdout.fileno(), length, end)
@@ -134,3 +142,34 @@ def _read(descriptor: int, count: int, end: float) -> bytes:
             raise ValueError("the process that renders does not answer" if not ready else "the renderer has ended")
         got += piece
     return got
+
+
+def _render(kind: str) -> int:
+    """Be the process that renders, until its standard input ends."""
+    os.nice(10)
+    answers = os.fdopen(os.dup(1), "wb")
+    os.dup2(2, 1)  # graphics libraries may print to standard output
+
+    def answer(data: bytes, *, is_picture: bool) -> None:
+        answers.write(_HEAD.pack(len(data), is_picture) + data)
+        answers.flush()
+
+    point = named_entry_point("pictures", kind)
+    try:
+        picture = point.load()(*_SIZE) if point is not None else None
+    except Exception as error:  # noqa: BLE001 - each graphics library fails in its own way
+        answer(f"{type(error).__name__}: {error}".encode(), is_picture=False)
+        return 1
+    if picture is None:
+        answer(b"there are no pictures of this kind of robot", is_picture=False)
+        return 1
+    for line in sys.stdin:
+        try:
+            answer(picture.png(*map(float, json.loads(line))), is_picture=True)
+        except Exception as error:  # noqa: BLE001 - as above
+            answer(f"{type(error).__name__}: {error}".encode(), is_picture=False)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(_render(sys.argv[1]))

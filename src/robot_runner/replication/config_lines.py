@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from robot_runner.core.config.source import parsed
+from robot_runner.core.config.source import name_of, tree_or_empty
 from robot_runner.core.storage.guarded_files import read_text
 from robot_runner.core.storage.layout import ExperimentFolder
 
@@ -126,11 +126,7 @@ class ConfigLines:
 def _sources(root: Path, folder: Path) -> Iterator[_Source]:
     for path in sorted(folder.rglob("*.py")):
         text = read_text(path, root, errors="replace")
-        try:
-            tree = parsed(text)
-        except (SyntaxError, ValueError, RecursionError, MemoryError):  # the last two: nested too deeply
-            continue
-        yield _Source(path.relative_to(root).as_posix(), tuple(text.split("\n")), tree)
+        yield _Source(path.relative_to(root).as_posix(), tuple(text.split("\n")), tree_or_empty(text))
 
 
 def _methods_of(name: str, sources: tuple[_Source, ...]) -> dict[str, tuple[_Source, ast.FunctionDef]]:
@@ -145,7 +141,7 @@ def _methods_of(name: str, sources: tuple[_Source, ...]) -> dict[str, tuple[_Sou
     while pending:
         if found := classes.pop(pending.pop(0), None):  # each once: bases may form a cycle
             source, made = found
-            pending[:0] = map(_name_of, made.bases)
+            pending[:0] = map(name_of, made.bases)
             own = {node.name: (source, node) for node in made.body if isinstance(node, ast.FunctionDef)}
             methods = own | methods
     return methods
@@ -174,15 +170,8 @@ def _yields(node: ast.AST, measure: str) -> bool:
     return False
 
 
-def _name_of(node: ast.AST) -> str:
-    match node:
-        case ast.Name(id=name) | ast.Attribute(attr=name):
-            return name
-    return ""
-
-
 def _called(node: ast.AST) -> str:
-    return _name_of(node.func) if isinstance(node, ast.Call) else ""
+    return name_of(node.func) if isinstance(node, ast.Call) else ""
 
 
 def _keyword(node: ast.AST, name: str) -> object:
@@ -191,7 +180,7 @@ def _keyword(node: ast.AST, name: str) -> object:
 
 
 def _is_factor(node: ast.AST, name: str) -> bool:
-    if not isinstance(node, ast.Call) or not {_called(node), _name_of(getattr(node.func, "value", node))} & _FACTORS:
+    if not isinstance(node, ast.Call) or not {_called(node), name_of(getattr(node.func, "value", node))} & _FACTORS:
         return False
     first = node.args[0].value if node.args and isinstance(node.args[0], ast.Constant) else None
     return name in {first, _keyword(node, "name"), _keyword(node, "factor_name")}

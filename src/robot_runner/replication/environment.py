@@ -20,7 +20,7 @@ from typing import Any
 
 from robot_runner.core.config.dialects import stand_in_modules
 from robot_runner.core.config.local_modules import editable_folders
-from robot_runner.core.config.source import parsed
+from robot_runner.core.config.source import tree_or_empty
 from robot_runner.core.entry_points import entry_points
 from robot_runner.core.errors import Finding
 from robot_runner.core.storage.guarded_files import read_bytes
@@ -364,11 +364,7 @@ def _imports_of(file: Path, package: str) -> tuple[str, ...]:
 
 def _imports(content: bytes, package: str, *, unconditionally: bool = False) -> Iterable[str]:
     """Yield the full names of a file's imports, also those in functions; nothing if the file is not valid Python."""
-    try:
-        tree = parsed(content)
-    except (SyntaxError, ValueError, RecursionError, MemoryError):
-        return
-    for node in _statements(tree, unconditionally=unconditionally):
+    for node in _statements(tree_or_empty(content), unconditionally=unconditionally):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom) and (not node.level or package):

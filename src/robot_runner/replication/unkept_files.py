@@ -8,7 +8,7 @@ from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path, PurePosixPath
 
-from robot_runner.core.config.source import parsed
+from robot_runner.core.config.source import name_of, tree_or_empty
 from robot_runner.core.errors import Finding
 from robot_runner.core.storage.guarded_files import read_text
 from robot_runner.core.storage.input_files import copies_in
@@ -56,10 +56,7 @@ def unkept_files(files: ExperimentFolder, stored: Iterable[str]) -> Iterator[Fin
     known = {part for name in stored for part in PurePosixPath(name).parts}
     copies = copies_in(files.config)
     for path in sorted(set(files.config.rglob("*.py")) - copies):
-        try:
-            tree = parsed(read_text(path, files.root, errors="replace"))
-        except (SyntaxError, ValueError, RecursionError, MemoryError):
-            continue
+        tree = tree_or_empty(read_text(path, files.root, errors="replace"))
         for line, name in sorted(_read_files(tree)):
             if PurePosixPath(name).name not in known:
                 where = f"{path.relative_to(files.root).as_posix()}:{line}"
@@ -113,7 +110,7 @@ def _read_files(tree: ast.Module) -> Iterator[tuple[int, str]]:
                 read |= {name: read.get(name, node.lineno)} if is_beside and name else {}
             elif name := _program_executed_by(node, assigned):
                 read.setdefault(name, node.lineno)
-            elif file is None and _called(node) not in _NAMING | _JOINING | _OF_PATHS:
+            elif file is None and name_of(node.func) not in _NAMING | _JOINING | _OF_PATHS:
                 receiver = [node.func.value] if isinstance(node.func, ast.Attribute) else []
                 given = [*receiver, *node.args, *(each.value for each in node.keywords)]
                 given += [each for listed in given if isinstance(listed, ast.List | ast.Tuple) for each in listed.elts]
@@ -135,7 +132,7 @@ def _assigned_in(tree: ast.Module) -> _Assigned:
 
 def _file_read_by(call: ast.Call) -> ast.expr | None:
     """Return what names the file that a call reads; None if it reads none."""
-    name, file = _called(call), next(iter(call.args), None)
+    name, file = name_of(call.func), next(iter(call.args), None)
     if isinstance(call.func, ast.Attribute) and (name in _READING_METHODS or (name == "open" and _is_mode(file))):
         mode, file = file, call.func.value
     else:
@@ -149,14 +146,14 @@ def _file_read_by(call: ast.Call) -> ast.expr | None:
 
 def _folder_listed_by(call: ast.Call) -> ast.expr | None:
     """Return what names the folder whose files a call lists; None if it lists none."""
-    if isinstance(call.func, ast.Attribute) and _called(call) in _LISTING_METHODS:
+    if isinstance(call.func, ast.Attribute) and name_of(call.func) in _LISTING_METHODS:
         return call.func.value
-    return call.args[0] if call.args and _called(call) in _LISTING else None
+    return call.args[0] if call.args and name_of(call.func) in _LISTING else None
 
 
 def _program_executed_by(call: ast.Call, assigned: _Assigned) -> str:
     """Return the name of the program or script beside the config that a call executes; empty for any other."""
-    words = call.args[0] if call.args and _called(call) in _EXECUTING else None
+    words = call.args[0] if call.args and name_of(call.func) in _EXECUTING else None
     for word in words.elts[:2] if isinstance(words, ast.List | ast.Tuple) else [words] if words else []:
         is_beside, name = _named(word, assigned, 0) or (False, "")
         if is_beside and name:
@@ -167,14 +164,6 @@ def _program_executed_by(call: ast.Call, assigned: _Assigned) -> str:
 def _is_mode(node: ast.expr | None) -> bool:
     """Whether the first argument of a method `open` is a mode, so that the path is the object of the method."""
     return node is None or (isinstance(node, ast.Constant) and _MODE.fullmatch(str(node.value)) is not None)
-
-
-def _called(call: ast.Call) -> str:
-    match call.func:
-        case ast.Name(id=name) | ast.Attribute(attr=name):
-            return name
-        case _:
-            return ""
 
 
 def _file_name(node: ast.expr, assigned: _Assigned) -> str:
@@ -206,7 +195,7 @@ def _parts_of(node: ast.expr) -> list[ast.expr]:
             return [left, right]
         case ast.Call(func=ast.Attribute(value=base, attr=name), args=parts) if name in _OF_PATHS:
             return [base, *parts]
-        case ast.Call(args=parts) if _called(node) in _JOINING:
+        case ast.Call(args=parts) if name_of(node.func) in _JOINING:
             return parts
         case _:
             return []
@@ -214,7 +203,7 @@ def _parts_of(node: ast.expr) -> list[ast.expr]:
 
 def _is_config_file(node: ast.expr) -> bool:
     """Whether an expression computes a path from that of the config, or of a package beside it."""
-    if isinstance(node, ast.Call) and _called(node) == "files":  # of importlib.resources
+    if isinstance(node, ast.Call) and name_of(node.func) == "files":  # of importlib.resources
         return True
     return any(isinstance(each, ast.Name) and each.id == "__file__" for each in ast.walk(node))
 

@@ -46,8 +46,8 @@ class Camera:
         self._is_painted = is_painted
         self._renderer: _Renderer | None = None
 
-    def open(self) -> None:
-        """Start the renderer.
+    def open(self) -> _Renderer:
+        """Return the renderer, which is started by the first call.
 
         Raises:
             LinkError: this machine cannot render off screen.
@@ -57,12 +57,11 @@ class Camera:
             if self._is_painted:
                 paint(model)
             self._renderer = _opened(model, self._number, self._width, self._height)
+        return self._renderer
 
     def image(self, now_ns: int) -> dict[str, Any]:
         """Return a sensor_msgs/Image."""
-        self.open()
-        renderer = self._renderer
-        assert renderer is not None  # noqa: S101 - `open` raises otherwise
+        renderer = self.open()
         _, data = self._scene()
         return {
             "header": header(now_ns, _FRAME),

@@ -16,13 +16,13 @@ from robot_runner.core.links.connect import SIMULATION_TOPIC
 from robot_runner.core.links.graph_names import full_name
 from robot_runner.core.links.robot import Encoding, Message, Qos, RobotLink
 from robot_runner.ros.graph_link import GraphLink
+from robot_runner.ros.shapes import stamp_of
 from robot_runner.ros.watchdog import HEARTBEAT_TOPIC, HEARTBEAT_TYPE, RELEASE_SERVICE, RELEASE_TYPE, Watchdog
 from robot_runner.simulator.camera import CAMERA_TOPICS
 from robot_runner.simulator.sensors import Listening
 from robot_runner.simulator.simulated_devices import MeterTerminal
 from robot_runner.simulator.simulated_turtlebot3 import Simulation
 
-_SECOND_NS = 1_000_000_000
 #: It comes with tf2, which the smallest installations of ROS 2 lack.
 _TRANSFORM_TYPE = "tf2_msgs/TFMessage"
 #: Best effort, as of the robot's own drivers; all else is reliable.
@@ -33,12 +33,6 @@ _CAMERA_INFO = "sensor_msgs/CameraInfo"
 _STANDSTILL = {"linear": {"x": 0.0}, "angular": {"z": 0.0}}
 
 _logger = logging.getLogger(__name__)
-
-
-def stamp(time_ns: int) -> dict[str, int]:
-    """Return a time as in ROS messages."""
-    seconds, nanoseconds = divmod(time_ns, _SECOND_NS)
-    return {"sec": seconds, "nanosec": nanoseconds}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -207,7 +201,7 @@ class GraphRobot:
             self._link.publish(_TRANSFORM, _TRANSFORM_TYPE, {"transforms": [_transform(stamped)]})
 
     def _stamp(self) -> dict[str, int]:
-        return stamp(self._clock.now_ns if self._place.is_clock else time.time_ns())
+        return stamp_of(self._clock.now_ns if self._place.is_clock else time.time_ns())
 
     def _command(self, topic: str, message: Message) -> None:
         is_moving = topic != _VELOCITY or bool(message["linear"]["x"] or message["angular"]["z"])

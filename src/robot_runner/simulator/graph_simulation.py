@@ -15,7 +15,8 @@ from robot_runner.core.links.graph_names import namespace_prefix
 from robot_runner.core.links.robot import Message, RobotLink
 from robot_runner.core.links.robot_name import RobotName
 from robot_runner.ros.graph_links import GRAPH_LINKS
-from robot_runner.simulator.graph_robot import GraphRobot, SimulatedPlace, stamp
+from robot_runner.ros.shapes import stamp_of
+from robot_runner.simulator.graph_robot import GraphRobot, SimulatedPlace
 from robot_runner.simulator.modelled_robot import RobotModel
 from robot_runner.simulator.room_file import read_room
 from robot_runner.simulator.rooms import DEFAULT_ROOM, Room
@@ -81,7 +82,7 @@ class GraphSimulation:
         self.is_paused = False
         with ExitStack() as undoing:
             undoing.callback(self.close)
-            self._closing.callback(self._close_simulation)
+            self._closing.callback(lambda: self._simulation.close())  # noqa: PLW0108 - a reset replaces it
             for namespace, link in links.items():
                 robot = GraphRobot(
                     link, self._simulation, place, namespace=namespace, lock=self._lock, has_meter=has_meter
@@ -145,9 +146,6 @@ class GraphSimulation:
         """End all offers and subscriptions; closing twice does nothing."""
         self._closing.close()
 
-    def _close_simulation(self) -> None:
-        self._simulation.close()
-
     def _offer(self) -> None:
         services: dict[str, Callable[[], None]] = {
             "reset_simulation": self.reset,
@@ -163,7 +161,7 @@ class GraphSimulation:
             robot.watch()
         self._simulation.clock.sleep(_TICK)
         if self._place.is_clock:
-            clock = {"clock": stamp(self._simulation.clock.now_ns)}
+            clock = {"clock": stamp_of(self._simulation.clock.now_ns)}
             self._link.publish("/clock", "rosgraph_msgs/Clock", clock)
         self._ticks += 1
         for robot in self.robots.values():

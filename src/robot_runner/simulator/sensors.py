@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from robot_runner.ros.shapes import stamp_of
 from robot_runner.simulator.drive import DifferentialDrive, OdometryState, WheelOdometry
 from robot_runner.simulator.rooms import Obstacle, Pose, Wall, ray_distances
 from robot_runner.simulator.simulated_clock import SimulatedClock, Ticker
@@ -18,7 +19,6 @@ from robot_runner.simulator.turtlebot3_parameters import Floats, NumberedNoise, 
 Message = dict[str, Any]
 Listener = Callable[[Message], None]
 
-_SECOND_NS = 1_000_000_000
 _UNKNOWN_COVARIANCE = [0.0] * 36
 
 _WHEEL_JOINTS = ("wheel_left_joint", "wheel_right_joint")
@@ -107,8 +107,7 @@ def joint_state(
 
 def header(now_ns: int, frame: str) -> Message:
     """Return a std_msgs/Header."""
-    seconds, nanoseconds = divmod(now_ns, _SECOND_NS)
-    return {"stamp": {"sec": seconds, "nanosec": nanoseconds}, "frame_id": frame}
+    return {"stamp": stamp_of(now_ns), "frame_id": frame}
 
 
 def _vector(x: float, y: float, z: float) -> Message:

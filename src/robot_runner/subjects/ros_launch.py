@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import re
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -21,7 +21,7 @@ from robot_runner.subjects.surroundings import holds_revision, word
 if TYPE_CHECKING:
     from robot_runner.core.events.context import ExperimentContext, RobotRunnerContext
     from robot_runner.core.plugin import Circumstances
-    from robot_runner.subjects.supervised_program import Start, SupervisedProgram
+    from robot_runner.subjects.supervised_program import Start
 
 #: What the namespace of the run's robot takes the place of, in an argument.
 _NAMESPACE = "{namespace}"
@@ -158,11 +158,10 @@ class RosLaunch(RosSubject):
         if not self._is_of_run and self._current is not None:
             self._ended_before = _Nodes(self._current).ends
 
-    def _begin(
-        self, context: ExperimentContext, folder: Path, begun: Callable[[int], object] = lambda _: None
-    ) -> SupervisedProgram:
+    def prepare_start(self, context: ExperimentContext) -> None:
+        """Take the namespace of the run's robot for its arguments."""
         self._namespace = robot_namespace(context).strip("/") if self._is_of_run else ""
-        return super()._begin(context, folder, begun)
+        super().prepare_start(context)
 
     def files_read(self) -> Iterable[InputFile]:
         """Yield the launch file if it is given by its path, files that its arguments name, and files named in these."""

@@ -6,7 +6,7 @@ import json
 import math
 import re
 import shlex
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 from xml.sax.saxutils import escape, quoteattr
 
@@ -19,10 +19,7 @@ from robot_runner.subjects.ros_subject import RosSubject
 from robot_runner.subjects.surroundings import holds_revision, word
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from robot_runner.core.events.context import ExperimentContext
-    from robot_runner.subjects.supervised_program import SupervisedProgram
 
 _GRAPH_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 #: A character beyond the first 65,536, such as an emoji, as JSON writes it.
@@ -98,12 +95,11 @@ class RosNode(RosSubject):
         self._own_files = tuple(word(self.name, each) for each in files if not holds_revision(each))
         self._named = (package, executable, *files)
 
-    def _begin(
-        self, context: ExperimentContext, folder: Path, begun: Callable[[int], object] = lambda _: None
-    ) -> SupervisedProgram:
-        if self._is_of_run:  # else several robots may share it
+    def prepare_start(self, context: ExperimentContext) -> None:
+        """Start it in the namespace of the run's robot, unless several robots may share it."""
+        if self._is_of_run:
             self._started_in = robot_namespace(context, self.namespace)
-        return super()._begin(context, folder, begun)
+        super().prepare_start(context)
 
     @property
     def stops_group(self) -> bool:

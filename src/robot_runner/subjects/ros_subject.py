@@ -6,7 +6,7 @@ import json
 import re
 import signal
 from abc import abstractmethod
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,7 +20,6 @@ from robot_runner.subjects.surroundings import Answer, is_known, word
 
 if TYPE_CHECKING:
     from robot_runner.core.events.context import ExperimentContext
-    from robot_runner.subjects.supervised_program import SupervisedProgram
 
 #: The program that starts the software of each generation.
 PROGRAMS = {1: "roslaunch", 2: "ros2"}
@@ -106,10 +105,10 @@ class RosSubject(Subject):
             return int(sourced)
         return next((ros for ros, program in PROGRAMS.items() if not self.surroundings.lacks(program)), 2)
 
-    def variables(self, start: Start) -> Mapping[str, str]:
+    def variables(self, folder: Path) -> Mapping[str, str]:
         """Have the nodes write their logs beside its output."""
         here = self.surroundings.host is None and "ROS_LOG_DIR" not in self.surroundings.environment
-        return {"ROS_LOG_DIR": str(start.folder.absolute() / "ros_log")} if here else {}
+        return {"ROS_LOG_DIR": str(folder.absolute() / "ros_log")} if here else {}
 
     def program_findings(self, where: str) -> Iterable[Finding]:
         """Yield that the programs of ROS are not there, that the middleware is none, and what ROS itself finds wrong.
@@ -152,9 +151,8 @@ class RosSubject(Subject):
             package = f"ros-<distribution>-{rmw.replace('_', '-')}"
             yield Finding.error(where, f"the middleware {rmw!r} is not installed", fix or f"Install it: {package}.")
 
-    def _begin(
-        self, context: ExperimentContext, folder: Path, begun: Callable[[int], object] = lambda _: None
-    ) -> SupervisedProgram:
+    def prepare_start(self, context: ExperimentContext) -> None:
+        """Keep the parameters at a master of ROS 1 that it is about to set."""
         if self.ros == 1:
             of_graph = graph_variables(context.robot, is_here=self.surroundings.host is None)
             told = [f"{name}={value}" for name, value in of_graph.items() if name not in self.surroundings.environment]
@@ -165,7 +163,6 @@ class RosSubject(Subject):
             if answer.code != 0 and isinstance(context, RobotRunnerContext):
                 problem = f"which parameters it leaves at the master is not known: {last_line(answer)}"
                 context.warn(problem, fix="See that python3 and roslaunch are there, with the workspace sourced.")
-        return super()._begin(context, folder, begun)
 
     def _end(self) -> None:
         was_begun = self._program is not None

@@ -135,10 +135,13 @@ class Subject(System):
         """Whether its whole process group gets the stop signal, as by Ctrl-C, instead of the program alone."""
         return False
 
-    def variables(self, start: supervised_program.Start) -> Mapping[str, str]:
-        """Return variables of its environment in addition to those that the user names."""
-        del start
+    def variables(self, folder: Path) -> Mapping[str, str]:
+        """Return variables of its environment beside those that the user names; the folder takes its output."""
+        del folder
         return {}
+
+    def prepare_start(self, context: ExperimentContext) -> None:
+        """Do what comes before each start; called before `words`."""
 
     @abstractmethod
     def program_findings(self, where: str) -> Iterable[Finding]:
@@ -240,7 +243,9 @@ class Subject(System):
             if context.robot is not None:
                 robot.tell = partial(CommandedTopics(start).add, context.robot)
             with robot.looked_at():
-                self._await_ready(context, start)
+                ready = Ready(self.name, start, self.ready, may_end=self.may_end)
+                # In real time, as it does not use a simulation's clock.
+                ready.wait(replace(context, clock=machine_clock(context)), timeout_s=self.ready_timeout_s)
         except BaseException:
             robot.look_at_last()
             self._end()
@@ -311,14 +316,14 @@ class Subject(System):
     def _begin(
         self, context: ExperimentContext, folder: Path, begun: Callable[[int], object] = lambda _: None
     ) -> supervised_program.SupervisedProgram:
-        start = supervised_program.Start(folder)
+        self.prepare_start(context)
         around = self.surroundings
         task = supervised_program.Task(
             command=around.wrapped(self.words()),
             # Programs of ROS find their graph by these: with several robots, each may be on a graph of its own.
             environment={
                 **graph_variables(context.robot, is_here=around.host is None),
-                **self.variables(start),
+                **self.variables(folder),
                 **around.variables,
                 SUBJECT_VARIABLE: self.name,
             },
@@ -353,11 +358,6 @@ class Subject(System):
 
     def _shared_folder(self, context: ExperimentContext) -> Path:
         return ExperimentFolder(context.experiment_folder).subjects / self.name
-
-    def _await_ready(self, context: RobotRunnerContext, start: supervised_program.Start) -> None:
-        """Wait until it is ready, in real time, as it does not use a simulation's clock."""
-        ready = Ready(self.name, start, self.ready, may_end=self.may_end)
-        ready.wait(replace(context, clock=machine_clock(context)), timeout_s=self.ready_timeout_s)
 
     def _watch_over(
         self, context: RobotRunnerContext, start: supervised_program.Start, is_ending: threading.Event

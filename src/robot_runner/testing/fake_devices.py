@@ -13,7 +13,7 @@ from robot_runner.core.links.graph_names import full_name
 from robot_runner.core.links.robot import Message, Qos
 from robot_runner.measuring.host import UtilisationSample
 from robot_runner.measuring.serial_line import Chunk
-from robot_runner.ros.shapes import plain_type
+from robot_runner.ros.shapes import plain_type, stamp_of
 from robot_runner.ros.watchdog import velocity_of
 from robot_runner.testing.fake_robot import Answer, FakeRobotLink
 from robot_runner.testing.fake_run import FakeClock
@@ -262,9 +262,8 @@ def _vector(x: float = 0.0, y: float = 0.0, z: float = 0.0) -> Message:
 
 def _odometry(time: float, x: float, y: float, heading: float, velocity: Message) -> Message:
     turn = {"x": 0.0, "y": 0.0, "z": math.sin(heading / 2), "w": math.cos(heading / 2)}
-    seconds = int(time)
     return {
-        "header": {"stamp": {"sec": seconds, "nanosec": int((time - seconds) * 1e9)}, "frame_id": "odom"},
+        "header": {"stamp": stamp_of(round(time * 1e9)), "frame_id": "odom"},
         "child_frame_id": "base_footprint",
         "pose": {"pose": {"position": _vector(x, y), "orientation": turn}, "covariance": [0.0] * 36},
         "twist": {"twist": velocity, "covariance": [0.0] * 36},

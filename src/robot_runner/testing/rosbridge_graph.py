@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 from robot_runner.core.errors import LinkError
 from robot_runner.core.links.robot import Message
 from robot_runner.ros.rosbridge_frames import from_protocol, to_protocol
-from robot_runner.ros.shapes import BYTE_KINDS, UNBOUNDED, Field, Shape, UpTo, completed, plain_type
+from robot_runner.ros.shapes import BYTE_KINDS, UNBOUNDED, Field, Shape, UpTo, completed, plain_type, stamp_of
 
 if TYPE_CHECKING:
     from cbor2 import CBORTag
@@ -321,9 +321,8 @@ class ServedRosapi:
         return [self.nodes[0]] if is_there else []
 
     def _stamp(self) -> dict[str, int]:
-        seconds, nanoseconds = divmod(time.time_ns(), 1_000_000_000)
-        names = ("secs", "nsecs") if self._generation == 1 else ("sec", "nanosec")
-        return dict(zip(names, (seconds, nanoseconds), strict=True))
+        now = stamp_of(time.time_ns())
+        return {"secs": now["sec"], "nsecs": now["nanosec"]} if self._generation == 1 else now
 
     def _topics(self) -> dict[str, Any]:
         topics = [topic for topic in self._graph.topics.values() if topic.is_there]

@@ -13,7 +13,7 @@ from robot_runner.core.links.goals import GoalStatus
 from robot_runner.ros.action_server import ActionTypes
 from robot_runner.ros.ros2_actions import GOAL_NUMBERS, STATUS_TOPIC, STATUS_TYPE, ros2_action_types
 from robot_runner.ros.rosbridge_frames import to_protocol
-from robot_runner.ros.shapes import completed, plain_type
+from robot_runner.ros.shapes import completed, plain_type, stamp_of
 from robot_runner.testing.rosbridge_graph import Graph, Refusal, ServedService, received
 
 _CANCEL = "/_action/cancel_goal"
@@ -202,8 +202,7 @@ class ServedActions:
         """Do nothing: no topics are subscribed."""
 
     def _publish(self, action: _Action, name: str) -> None:
-        seconds, nanoseconds = divmod(time.time_ns(), 1_000_000_000)
-        stamp = {"sec": seconds, "nanosec": nanoseconds}
+        stamp = stamp_of(time.time_ns())
         told = [
             {"goal_info": {"goal_id": {"uuid": goal.key}, "stamp": stamp}, "status": GOAL_NUMBERS[goal.status]}
             for goal in action.goals.values()

@@ -29,7 +29,11 @@ def test_a_file_that_is_not_there_is_refused_with_the_nearest_name(write_config:
 
 
 def test_a_folder_is_refused(tmp_path: Path) -> None:
-    assert refused(tmp_path)[0].problem == "the path names a folder, not a config file"
+    (found,) = refused(tmp_path)
+    assert found.problem == "the path names a folder, not a config file"
+    assert found.fix == "Name the config file that results are made by, which ends in .py; imported results have none."
+    (tmp_path / "study.py").touch()
+    assert refused(tmp_path)[0].fix == "Name the config file in it: study.py."
 
 
 def test_a_file_that_is_not_python_is_refused_with_the_line(tmp_path: Path) -> None:

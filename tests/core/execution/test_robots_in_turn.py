@@ -216,6 +216,17 @@ def test_what_cannot_take_turns_is_refused_with_all_findings(write_config: Calla
     assert any("bob would be looked for" in finding.problem for finding in findings)
 
 
+def test_a_factor_that_is_called_as_the_column_of_robots_is_refused_with_how_it_could_choose_one(
+    write_config: Callable[..., Path],
+) -> None:
+    crossed = TABLE.replace('Factor("Speed", [1, 2])', 'Factor("Robot", ["alice", "bob"])')
+    assert crossed != TABLE
+    (finding,) = [each for each in prepare(write_config(head=HEAD, table=crossed)).findings if each.is_error]
+    assert finding.where == "robot"
+    assert "the factor 'Robot' does not choose which one executes a run" in finding.problem
+    assert "namespace=treatment('Robot')" in finding.fix
+
+
 def test_one_robot_is_refused_that_is_named_twice_over_two_links_or_addresses(
     write_config: Callable[..., Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -19,10 +19,9 @@ from robot_runner.cli.design_words import (
 )
 from robot_runner.cli.extension import Extension, ExtensionRequest, extend_experiment
 from robot_runner.cli.findings import as_json, show_findings
-from robot_runner.cli.guard import REFUSED
 from robot_runner.cli.parser import Parser, UsageError, add_config, add_json, add_set
 from robot_runner.core.config.loader import parse_assignments
-from robot_runner.core.config.preparation import prepare
+from robot_runner.core.config.preparation import prepare_or_refuse
 from robot_runner.core.design.asking import decides_order
 from robot_runner.core.design.batches import as_configured
 from robot_runner.core.design.design_findings import is_seed
@@ -85,11 +84,8 @@ def execute(arguments: Namespace) -> int:
         dry_run=arguments.dry_run,
     )
     with quiet_loading():
-        preparation = prepare(Path(arguments.config), parse_assignments(arguments.set), is_for_here=False)
-    if preparation.experiment is None:
-        show_findings(preparation.findings)
-        return REFUSED
-    extension = extend_experiment(preparation.experiment, request)
+        experiment = prepare_or_refuse(Path(arguments.config), parse_assignments(arguments.set), is_for_here=False)
+    extension = extend_experiment(experiment, request)
     if arguments.json:
         print_json(_as_json(extension, is_written=not request.dry_run))
         return 0

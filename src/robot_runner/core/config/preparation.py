@@ -324,14 +324,18 @@ def _most_runs(model: RunTableModel, parameters: Parameters) -> int:
 
 
 def prepare_or_refuse(
-    path: Path, overrides: Mapping[str, str] = MappingProxyType({}), *, looks_at_graph: bool = True
+    path: Path,
+    overrides: Mapping[str, str] = MappingProxyType({}),
+    *,
+    is_for_here: bool = True,
+    looks_at_graph: bool = True,
 ) -> Experiment:
     """Load and validate a config file, as `prepare` does.
 
     Raises:
         ConfigError: it has errors; with all findings.
     """
-    preparation = prepare(path, overrides, looks_at_graph=looks_at_graph)
+    preparation = prepare(path, overrides, is_for_here=is_for_here, looks_at_graph=looks_at_graph)
     if preparation.experiment is None:
         raise ConfigError.of_findings(preparation.findings)
     return preparation.experiment
@@ -360,7 +364,12 @@ def measure_columns(
     if answers := operator_measures(steps) if not step_findings else ():
         measures[OPERATOR_OWNER] = answers
     if parameters is not None and parameters.robots:
-        measures[ROBOTS_OWNER] = (Measure(ROBOT, "", "The robot that executed the run."),)
+        if model and any(factor.name == ROBOT for factor in model.factors):
+            problem = f"several robots take turns, and the factor {ROBOT!r} does not choose which one executes a run"
+            fix = f"Rename it, or have it choose: robot='ros2', say, and namespace=treatment({ROBOT!r}) of plugins."
+            findings.append(Finding.error("robot", problem, fix))
+        else:
+            measures[ROBOTS_OWNER] = (Measure(ROBOT, "", "The robot that executed the run."),)
     columns, column_findings = resolve_columns(model.data_columns if model else None, measures)
     findings += [*step_findings, *column_findings, *checks.check_columns(columns)]
     columns = columns.with_all_of(OPERATOR_OWNER).with_all_of(ROBOTS_OWNER)

@@ -21,6 +21,7 @@ from types import ModuleType
 from robot_runner.core.errors import ConfigError, nearest
 from robot_runner.core.plugin import GROUPS, Plugin, find_plugin
 from robot_runner.core.storage.system_refusals import storage_error
+from robot_runner.core.words import listed
 
 CONFIG_CLASS = "RobotRunnerConfig"
 _CONFIG_BASE = "ExperimentConfig"
@@ -81,6 +82,14 @@ def parsed(code: str | bytes, name: str = "<unknown>") -> ast.Module:
         return ast.parse(code, filename=name)
 
 
+def tree_or_empty(code: str | bytes) -> ast.Module:
+    """Return the syntax tree of code that is not executed here; an empty one where it is not Python."""
+    try:
+        return parsed(code)
+    except (SyntaxError, ValueError, RecursionError, MemoryError):  # the last two: nested too deeply
+        return ast.Module([], [])
+
+
 def tree_of(path: Path) -> ast.Module:
     """Return the syntax tree of an imported module; an empty one where it is not Python source."""
     try:
@@ -95,9 +104,8 @@ def _read(path: Path) -> str:
     except FileNotFoundError as error:
         raise ConfigError("there is no such file", where=str(path), fix=_other_file(path)) from error
     except IsADirectoryError as error:
-        raise ConfigError(
-            "the path names a folder, not a config file", where=str(path), fix="Name the config file in it."
-        ) from error
+        problem = "the path names a folder, not a config file"
+        raise ConfigError(problem, where=str(path), fix=_config_of(path)) from error
     except (UnicodeDecodeError, SyntaxError) as error:
         raise ConfigError(
             "the file is not text in UTF-8, nor as it declares",
@@ -107,6 +115,13 @@ def _read(path: Path) -> str:
     except OSError as error:
         refusal = storage_error(path, "read", error)
         raise ConfigError(refusal.problem, where=refusal.where, fix=refusal.fix) from error
+
+
+def _config_of(folder: Path) -> str:
+    names = sorted(each.name for each in folder.glob("*.py"))
+    if names:
+        return f"Name the config file in it: {listed(names)}."
+    return "Name the config file that results are made by, which ends in .py; imported results have none."
 
 
 def _other_file(path: Path) -> str:
@@ -122,7 +137,7 @@ def _config_class(path: Path, tree: ast.Module) -> str:
     names = [node.name for node in classes]
     if CONFIG_CLASS in names:
         return CONFIG_CLASS
-    bases = {node.name: set(map(_name_of, node.bases)) for node in classes}
+    bases = {node.name: set(map(name_of, node.bases)) for node in classes}
     derived = {_CONFIG_BASE}
     for name in names:
         derived |= {name} if bases[name] & derived else set()
@@ -145,8 +160,9 @@ def _config_class(path: Path, tree: ast.Module) -> str:
     raise ConfigError(f"the file has no class named {CONFIG_CLASS}", where=str(path), fix=fix)
 
 
-def _name_of(base: ast.expr) -> str:
-    match base:
+def name_of(node: ast.AST | None) -> str:
+    """Return a name, or the last part of a dotted one; empty for any other code."""
+    match node:
         case ast.Name(id=name) | ast.Attribute(attr=name):
             return name
         case _:

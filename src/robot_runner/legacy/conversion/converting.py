@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from robot_runner.core.config.experiment import Experiment
-from robot_runner.core.config.preparation import prepare
+from robot_runner.core.config.preparation import prepare, prepare_or_refuse
 from robot_runner.core.config.source import CONFIG_CLASS, read_source, read_tree
 from robot_runner.core.errors import ConfigError, Finding
 from robot_runner.core.words import listed
@@ -105,10 +105,8 @@ def convert(path: Path, folder: Path | None = None, name: str = "") -> Conversio
         fix = f"Execute it: robot-runner {shlex.quote(str(path))}"
         raise ConfigError("the config is written in our own spelling already", where=str(path), fix=fix)
     with load_apart():
-        preparation = prepare(path, is_for_here=False)
-        if preparation.experiment is None:
-            raise ConfigError.of_findings(preparation.findings)
-        return _Chain(recognised, preparation.experiment, folder, name or path.name).converted()
+        experiment = prepare_or_refuse(path, is_for_here=False)
+        return _Chain(recognised, experiment, folder, name or path.name).converted()
 
 
 def new_file(original: Path, folder: Path | None) -> Path:

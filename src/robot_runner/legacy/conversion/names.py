@@ -351,9 +351,10 @@ def _keys_of(mapping: str, where: ast.AST) -> Iterator[ast.Constant]:
     """Yield the constant keys with which a mapping is made and filled."""
     for node in ast.walk(where):
         match node:
-            case ast.Assign(targets=[target], value=ast.Dict(keys=keys)) if ast.unparse(target) == mapping:
-                yield from (key for key in keys if isinstance(key, ast.Constant))
-            case ast.AnnAssign(target=target, value=ast.Dict(keys=keys)) if ast.unparse(target) == mapping:
+            case (
+                ast.Assign(targets=[target], value=ast.Dict(keys=keys))
+                | ast.AnnAssign(target=target, value=ast.Dict(keys=keys))
+            ) if ast.unparse(target) == mapping:
                 yield from (key for key in keys if isinstance(key, ast.Constant))
             case ast.Subscript(value=value, slice=ast.Constant() as key, ctx=ast.Store()):
                 if ast.unparse(value) == mapping:
