@@ -198,6 +198,8 @@ def test_a_growing_column_of_whole_numbers_loses_none(pieces):
         ([[True], [2]], [1.0, 2.0]),
         ([[None], ["a", "b"], ["b"]], [None, "a", "b", "b"]),
         ([[1], ["a"]], ["1", "a"]),
+        ([[None], [1], ["a"]], [None, "1", "a"]),
+        ([[], [1]], [1]),
         ([[None, None], [None]], [None] * 3),
     ],
 )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, NamedTuple, Self
@@ -112,8 +112,8 @@ class DeclaredDesign:
             elif part in parts.needed:
                 fix = f'Write {part} = "COLUMN".'
                 findings.append(Finding.error(where, f"a {design_in_words(kind)} takes the column of its {part}", fix))
-        for part, check in _CHECKS.items():
-            findings += check(plain[part], where) if part in plain and part in parts.others else ()
+        for part in parts.others:
+            findings += _other_findings(part, plain[part], where) if part in plain else ()
         AnalysisError.refuse(findings)
         ranges = {name: (float(low), float(high)) for name, (low, high) in plain.get("ranges", {}).items()}
         base = {name: str(text) for name, text in plain.get("base", {}).items()}
@@ -142,9 +142,7 @@ class DeclaredDesign:
     def facts(self, whence: str, heading: Callable[[str], str] = str) -> dict[str, Any]:
         """Return the facts that one of our designs would have written into the manifest.
 
-        Args:
-            whence: where it was declared, in words.
-            heading: returns the heading of a column in the run table.
+        It was declared in `whence`; `heading` returns the heading of a column in the run table.
         """
         found: dict[str, Any] = {
             _FACTS[part]: heading(names[0]) if len(names) == 1 else [heading(name) for name in names]
@@ -193,12 +191,7 @@ def parse_design(text: str) -> DeclaredDesign:
 
 
 def with_declared_design(results: Results, declared: DeclaredDesign, whence: str) -> Results:
-    """Return results whose analysis follows a declared design.
-
-    Args:
-        results: the results of an experiment whose manifest has only factors and blocks.
-        declared: the design.
-        whence: where it was declared, such as the name of a file.
+    """Return results whose analysis follows a design that was declared in `whence`, such as a file.
 
     Raises:
         AnalysisError: the experiment has a design of its own, a column does not exist, or the runs do not have the
@@ -312,27 +305,17 @@ def _entries(parts: _Kind) -> tuple[str, ...]:
     return ("kind", *parts.needed, *parts.possible, *parts.others)
 
 
-def _washout_findings(given: object, where: str) -> Iterable[Finding]:
-    return () if isinstance(given, bool) else [Finding.error(where, f"washout is {given!r}", "Write true or false.")]
-
-
-def _base_findings(given: object, where: str) -> Iterable[Finding]:
-    if isinstance(given, dict) and given:
-        return ()
-    return [Finding.error(where, f"base is {given!r}", 'Name the treatment of each factor: base = {Task = "Idle"}.')]
-
-
-def _ranges_findings(given: object, where: str) -> Iterator[Finding]:
-    fix = "Write the two ends of each factor: ranges = {Speed = [0.1, 0.3]}."
-    for name, ends in given.items() if isinstance(given, dict) else [("ranges", given)]:
-        match ends:
-            case [int() | float() as low, int() | float() as high] if high > low:
-                continue
-        yield Finding.error(where, f"the range of {name} is {ends!r}", fix)
-
-
-_CHECKS: Mapping[str, Callable[[Any, str], Iterable[Finding]]] = {
-    "washout": _washout_findings,
-    "base": _base_findings,
-    "ranges": _ranges_findings,
-}
+def _other_findings(part: str, given: Any, where: str) -> Iterator[Finding]:
+    """Yield why a part that names no column is invalid."""
+    if part == "washout" and not isinstance(given, bool):
+        yield Finding.error(where, f"washout is {given!r}", "Write true or false.")
+    if part == "base" and not (isinstance(given, dict) and given):
+        fix = 'Name the treatment of each factor: base = {Task = "Idle"}.'
+        yield Finding.error(where, f"base is {given!r}", fix)
+    if part == "ranges":
+        fix = "Write the two ends of each factor: ranges = {Speed = [0.1, 0.3]}."
+        for name, ends in given.items() if isinstance(given, dict) else [("ranges", given)]:
+            match ends:
+                case [int() | float() as low, int() | float() as high] if high > low:
+                    continue
+            yield Finding.error(where, f"the range of {name} is {ends!r}", fix)

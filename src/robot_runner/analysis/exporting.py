@@ -46,19 +46,14 @@ def export_results(
     results: ExperimentFacts,
     tables: Mapping[str, pd.DataFrame],
     raw: RawData,
-    folder: Path | None = None,
+    folder: Path | None,
     *,
-    for_spreadsheets: bool = False,
+    for_spreadsheets: bool,
 ) -> tuple[Path, ...]:
     """Export everything into `folder` (None: `export/` in the experiment's folder), replacing an earlier export.
 
-    Args:
-        results: the experiment.
-        tables: tables of all its runs, by file name.
-        raw: its raw samples.
-        folder: the folder to write into.
-        for_spreadsheets: whether the run table, and the report's tables where there is one, are written into
-            `spreadsheets/`, too, as workbooks.
+    `tables` are of all runs, by file name. For spreadsheets, the run table and the tables of a report are written into
+    `spreadsheets/`, too, as workbooks.
 
     Returns:
         The files: the run table as CSV with its schema and as Parquet, phases and events, one file for each kind of raw

@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pyarrow as pa
@@ -82,8 +81,8 @@ class LazySamples:
             missing = [name for name in self.request.columns if name not in types]
             if not missing:
                 break
-            with sample_source(self.request, run_id) as source:
-                for field in self._opened(run_id, source, {}).schema:
+            with self._opened(run_id, {}) as reader:
+                for field in reader.schema:
                     if field.name in missing and not pa.types.is_null(field.type):
                         types[field.name] = _widened(field.type)
         return {name: types.get(name, pa.float64()) for name in (self.request.file.time, *self.request.columns)}
@@ -103,20 +102,26 @@ class LazySamples:
         return pa.schema([*fields, *((name, types[name]) for name in request.columns)])
 
     def _batches(self, types: Mapping[str, pa.DataType]) -> Iterator[pa.RecordBatch]:
-        schema, labels = self._schema(types), _Labels(self.request)
-        spans = (self.request.phases or {}).values()
+        schema, spans = self._schema(types), (self.request.phases or {}).values()
+        run_ids = pa.array(list(self.request.run_ids), pa.string())
+        factors = [(np.asarray(each.codes), pa.array(each.categories)) for each in self.request.factors.values()]
         phases = list(dict.fromkeys(name for each in spans for name in each.names))
         for place, run_id in enumerate(self.request.run_ids):
             start = self.request.starts.get(run_id)
-            for raw in self._raw_batches(run_id, types):
-                times = raw.column(self.request.file.time).to_numpy(zero_copy_only=False)
-                start = float(times[0]) if start is None and len(times) else start
-                columns, chosen = self._told(run_id, times, phases)
-                values = (raw.column(name) for name in self.request.columns)
-                since = pa.array(times - (start or 0.0), from_pandas=True)
-                arrays = [*labels.of_run(place, len(times)), since, *columns, *values]
-                batch = pa.RecordBatch.from_arrays(arrays, schema=schema)
-                yield batch if chosen is None else batch.filter(pa.array(chosen))
+            with self._opened(run_id, types) as reader:
+                for raw in reader:
+                    times = raw.column(self.request.file.time).to_numpy(zero_copy_only=False)
+                    start = float(times[0]) if start is None and len(times) else start
+                    columns, chosen = self._told(run_id, times, phases)
+                    values = (raw.column(name) for name in self.request.columns)
+                    since = pa.array(times - (start or 0.0), from_pandas=True)
+                    run = _dictionary(np.full(len(times), place, np.int32), run_ids)
+                    treatments = (
+                        _dictionary(np.full(len(times), codes[place], np.int32), words, ordered=True)
+                        for codes, words in factors
+                    )
+                    batch = pa.RecordBatch.from_arrays([run, *treatments, since, *columns, *values], schema=schema)
+                    yield batch if chosen is None else batch.filter(pa.array(chosen))
 
     def _told(self, run_id: str, times: Floats, names: list[str]) -> tuple[list[pa.Array], NDArray[np.bool_] | None]:
         """Return the columns of the window and the phases, and which samples are selected (None for all)."""
@@ -136,27 +141,24 @@ class LazySamples:
                 chosen = there if chosen is None else chosen & there
         return arrays, chosen
 
-    def _raw_batches(self, run_id: str, types: Mapping[str, pa.DataType]) -> Iterator[pa.RecordBatch]:
-        with _refusals(self.request.file.paths[run_id]), sample_source(self.request, run_id) as source:
-            yield from self._opened(run_id, source, types)
+    @contextmanager
+    def _opened(self, run_id: str, types: Mapping[str, pa.DataType]) -> Iterator[arrow_csv.CSVStreamingReader]:
+        """Open the file of a run, to be read while it is open.
 
-    def _opened(self, run_id: str, source: Any, types: Mapping[str, pa.DataType]) -> arrow_csv.CSVStreamingReader:
-        with _refusals(self.request.file.paths[run_id]):
-            options = csv_options(self.request, types)
-            return arrow_csv.open_csv(source, read_options=arrow_csv.ReadOptions(block_size=_BLOCK), **options)
-
-
-class _Labels:
-    """The run and its treatments as dictionary-encoded columns; all batches share the dictionaries."""
-
-    def __init__(self, request: SampleRequest) -> None:
-        self._run_ids = pa.array(list(request.run_ids), pa.string())
-        self._factors = [(np.asarray(each.codes), pa.array(each.categories)) for each in request.factors.values()]
-
-    def of_run(self, place: int, count: int) -> Iterator[pa.Array]:
-        yield _dictionary(np.full(count, place, np.int32), self._run_ids)
-        for codes, treatments in self._factors:
-            yield _dictionary(np.full(count, codes[place], np.int32), treatments, ordered=True)
+        Raises:
+            AnalysisError: the file does not have the columns and types of the first one.
+            StorageError: the file cannot be read.
+        """
+        path, options = self.request.file.paths[run_id], csv_options(self.request, types)
+        try:
+            with sample_source(self.request, run_id) as source:
+                yield arrow_csv.open_csv(source, read_options=arrow_csv.ReadOptions(block_size=_BLOCK), **options)
+        except pa.ArrowInvalid as error:
+            fix = "Leave the run or the column out, or read the samples with Results.samples, which widens types."
+            problem = f"the file does not hold what the first one does: {error}"
+            raise AnalysisError(problem, where=str(path), fix=fix) from error
+        except OSError as error:
+            raise storage_error(path, "read", error) from error
 
 
 def _dictionary(codes: NDArray[np.int32], words: pa.Array, *, ordered: bool = False) -> pa.Array:
@@ -168,21 +170,3 @@ def _widened(kind: pa.DataType) -> pa.DataType:
     is_kept = pa.types.is_boolean(kind) or pa.types.is_timestamp(kind)
     is_number = pa.types.is_integer(kind) or pa.types.is_floating(kind)
     return pa.float64() if is_number else kind if is_kept else pa.string()
-
-
-@contextmanager
-def _refusals(path: Path) -> Iterator[None]:
-    """Raise errors of reading a file as ours.
-
-    Raises:
-        AnalysisError: the file does not have the columns and types of the first one.
-        StorageError: the file cannot be read.
-    """
-    try:
-        yield
-    except pa.ArrowInvalid as error:
-        fix = "Leave the run or the column out, or read the samples with Results.samples, which widens types."
-        problem = f"the file does not hold what the first one does: {error}"
-        raise AnalysisError(problem, where=str(path), fix=fix) from error
-    except OSError as error:
-        raise storage_error(path, "read", error) from error

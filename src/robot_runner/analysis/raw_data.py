@@ -31,6 +31,7 @@ from robot_runner.analysis.sample_files import (
     choose_file,
     find_sample_files,
     noted,
+    noted_number,
     noted_windows,
     phase_spans,
     read_phases,
@@ -269,7 +270,6 @@ class _Source:
 def _noted_uncertainty(path: Path) -> float | None:
     """Return how far the times of a meter with its own clock may be off, s, as its plugin noted it."""
     try:
-        found = noted(path)["samples"]["clock_uncertainty"]
+        return noted_number(noted(path)["samples"]["clock_uncertainty"])
     except (KeyError, TypeError):
         return None
-    return float(found) if isinstance(found, int | float) and math.isfinite(found) else None

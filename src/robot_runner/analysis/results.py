@@ -336,11 +336,6 @@ class Results(ExperimentFacts):
     def _files(self) -> ExperimentFolder:
         return ExperimentFolder.found_at(self.folder)
 
-    @property
-    def _labels(self) -> list[str]:
-        """The columns that tell the combination of a run: the factors, and declared repetitions."""
-        return list(self._named(ColumnRole.FACTOR))
-
     @cached_property
     def _run_frame(self) -> RunFrame:
         read = read_run_frame(self._files, tuple(self.columns.values()), self.manifest)
@@ -360,7 +355,8 @@ class Results(ExperimentFacts):
     def _raw(self) -> RawData:
         runs = self._run_frame.frame
         files = run_files(self._files, runs[RUN_ID])
-        return RawData(files, runs, self._labels, self._history, self._files.journal)
+        factors = self._named(ColumnRole.FACTOR)  # also one that counts repetitions
+        return RawData(files, runs, factors, self._history, self._files.journal)
 
     def _chosen(self, runs: str | Sequence[str] | None) -> list[str]:
         if runs is None:

@@ -50,15 +50,19 @@ def require_choice(given: object, kind: type[Enum], what: str, where: str) -> No
         raise AnalysisError(f"{what} is {given!r}", where=where, fix=f"Give one of {names}.")
 
 
+def fact_of(manifest: Mapping[str, Any], *keys: str, default: Any = None) -> Any:
+    """Return the manifest's entry at these nested keys."""
+    found: Any = manifest
+    for key in keys:
+        if not isinstance(found, Mapping) or key not in found:
+            return default
+        found = found[key]
+    return default if found is None else found
+
+
 @dataclass(frozen=True)
 class ExperimentFacts:
-    """An experiment without its runs.
-
-    Attributes:
-        folder: the experiment's folder.
-        manifest: the circumstances, as in `manifest.json`.
-        columns: role, type, unit, owner and origin of each column of the run table, by its heading.
-    """
+    """An experiment without its runs; `Results` says what its attributes are."""
 
     folder: Path
     manifest: Mapping[str, Any] = field(repr=False)
@@ -84,7 +88,7 @@ class ExperimentFacts:
     @property
     def block(self) -> str | None:
         """The column of the blocks within which the order was randomised (a factor, or the repetition), if any."""
-        blocks = self.manifest.get("design", {}).get("blocks")
+        blocks = fact_of(self.manifest, "design", "blocks")
         return blocks if blocks in self.columns else None
 
     @property
@@ -95,12 +99,12 @@ class ExperimentFacts:
     @property
     def is_adaptive(self) -> bool:
         """Whether the design chose runs by results: the runs of its search are exploratory."""
-        return bool((self.manifest.get("design") or {}).get("facts", {}).get("decides"))
+        return bool(fact_of(self.manifest, "design", "facts", "decides"))
 
     @property
     def confirming_batches(self) -> tuple[int, ...]:
         """The batches that confirm the findings of an adaptive design."""
-        batches = (self.manifest.get("design") or {}).get("batches", ())
+        batches = fact_of(self.manifest, "design", "batches", default=())
         return tuple(each["batch"] for each in batches if each.get("role") == CONFIRMATION)
 
     @property

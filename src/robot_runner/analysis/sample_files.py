@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import math
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -160,6 +160,19 @@ def noted(path: Path, root: Path | None = None) -> Any:
         return None
 
 
+def noted_number(value: object) -> float | None:
+    """Return a plugin's note as a number; None where it is not a finite number."""
+    is_number = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+    return float(value) if is_number else None  # type: ignore[arg-type]  # mypy does not follow the line above
+
+
+def notes_of(folder: ExperimentFolder, run_ids: Iterable[str], pattern: str) -> Iterator[tuple[str, Path, Any]]:
+    """Yield the run, the file and the notes of each JSON file that fits a pattern in the folders of runs."""
+    for run_id in run_ids:
+        for path in sorted(folder.run(run_id).glob(pattern)):
+            yield run_id, path, noted(path, folder.root)
+
+
 def noted_windows(file: SampleFile, run_ids: Iterable[str]) -> dict[str, tuple[float, float]]:
     """Return the measured windows of runs, beginning and end, s on the clock of these samples.
 
@@ -206,10 +219,7 @@ _NUMBERS = frozenset({"number", "start_s", "end_s"})
 class PhaseSpans:
     """The phases of one run, in order; where several overlap, the one that began last.
 
-    Attributes:
-        starts, ends: s on the run's clock.
-        numbers: the number of each phase.
-        names: the name of each phase.
+    `starts` and `ends` are in s on the run's clock.
     """
 
     starts: Floats

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import io
-from collections import Counter, deque
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from os import cpu_count
 from typing import TYPE_CHECKING, Any
@@ -44,89 +44,57 @@ class GrowingColumn:
     def __init__(self, expected: int) -> None:
         self._expected = expected
         self._length = 0
-        self._missing = 0  # values before the first piece that has a type
-        self._numbers: NDArray[Any] | None = None
+        self._numbers: NDArray[Any] = np.empty(0, dtype=np.int64)
+        self._is_missing = True  # whether all values so far are
         self._texts: list[pa.Array] | None = None
 
     def append(self, piece: pa.ChunkedArray) -> None:
         """Add the values of another run."""
-        if pa.types.is_null(piece.type) and self._numbers is None and self._texts is None:
-            self._missing += len(piece)
-        elif self._texts is not None or not _is_numeric(piece.type) or self._is_of_another_kind(piece):
+        if pa.types.is_null(piece.type) and not len(piece):  # a file without a row
+            return
+        dtype = self._dtype_with(piece)
+        if self._texts is not None or dtype is None:
             self._append_texts(piece)
-        else:
-            self._append_numbers(piece)
+            return
+        begin, self._length = self._length, self._length + len(piece)
+        if self._length > len(self._numbers) or dtype != self._numbers.dtype:
+            size = len(self._numbers) if self._length <= len(self._numbers) else self._length + self._length // 4
+            wider = np.empty(max(self._expected, size), dtype=dtype)
+            wider[:begin] = self._numbers[:begin]
+            self._numbers = wider
+        self._numbers[begin : self._length] = piece.to_numpy()
+        self._is_missing &= pa.types.is_null(piece.type)
 
     def values(self) -> Any:
         """Return all values: an array, or a categorical for texts."""
         if self._texts is not None:
             return _categorical(self._texts)
-        if self._numbers is None:
-            return np.full(self._missing, np.nan)
-        return self._numbers[: self._length]
+        return np.full(self._length, np.nan) if self._is_missing else self._numbers[: self._length]
 
-    def _append_numbers(self, piece: pa.ChunkedArray) -> None:
-        if self._numbers is None:
-            self._numbers = np.empty(max(self._expected, self._missing + len(piece)), dtype=_dtype(piece))
-            if self._missing:
-                self._widen(_missing_dtype(self._numbers.dtype))
-                self._numbers[: self._missing] = _nothing(self._numbers.dtype)
-            self._length = self._missing
-        needed = self._length + len(piece)
-        if needed > len(self._numbers):
-            self._numbers = np.resize(self._numbers, needed + needed // 4)
-        self._widen(_common_dtype(self._numbers.dtype, piece))
-        for chunk in piece.chunks:
-            is_null = pa.types.is_null(chunk.type)
-            stop = self._length + len(chunk)
-            self._numbers[self._length : stop] = (
-                _nothing(self._numbers.dtype) if is_null else chunk.to_numpy(zero_copy_only=False)
-            )
-            self._length = stop
-
-    def _is_of_another_kind(self, piece: pa.ChunkedArray) -> bool:
-        if self._numbers is None or pa.types.is_null(piece.type):
-            return False
-        return (self._numbers.dtype.kind == "M") is not bool(pa.types.is_timestamp(piece.type))
-
-    def _widen(self, dtype: np.dtype[Any]) -> None:
-        if self._numbers is not None and self._numbers.dtype != dtype:
-            wider = np.empty(len(self._numbers), dtype=dtype)
-            wider[: self._length] = self._numbers[: self._length]
-            self._numbers = wider
+    def _dtype_with(self, piece: pa.ChunkedArray) -> np.dtype[Any] | None:
+        """Return the type that holds the values so far and another piece; None if only texts do."""
+        own, so_far = _dtype(piece), self._numbers.dtype
+        if own is None or "M" not in {own.kind, so_far.kind}:
+            return None if own is None else np.result_type(so_far, own)
+        is_joined = own == so_far or self._is_missing or pa.types.is_null(piece.type)
+        return np.dtype("datetime64[ns]") if is_joined else None
 
     def _append_texts(self, piece: pa.ChunkedArray) -> None:
         if self._texts is None:
-            self._texts = [pa.nulls(self._missing, pa.string())]
-            if self._numbers is not None:
-                self._texts.append(pa.array(self._numbers[: self._length], from_pandas=True).cast(pa.string()))
-                self._numbers = None
+            self._texts = [pa.array(self._numbers[: self._length], from_pandas=True).cast(pa.string())]
+            self._numbers = self._numbers[:0]
         self._texts += piece.cast(pa.string()).chunks
 
 
-def _is_numeric(kind: pa.DataType) -> bool:
-    tests = (pa.types.is_integer, pa.types.is_floating, pa.types.is_boolean, pa.types.is_timestamp, pa.types.is_null)
-    return any(test(kind) for test in tests)
-
-
-def _dtype(piece: pa.ChunkedArray) -> np.dtype[Any]:
-    if pa.types.is_timestamp(piece.type):
+def _dtype(piece: pa.ChunkedArray) -> np.dtype[Any] | None:
+    """Return the type of an array for the values of a piece; None for texts."""
+    kind = piece.type
+    if pa.types.is_timestamp(kind):
         return np.dtype("datetime64[ns]")
-    if pa.types.is_integer(piece.type) and not piece.null_count:
+    if pa.types.is_integer(kind) and not piece.null_count:
         return np.dtype("int64")
-    return np.dtype("float64")
-
-
-def _common_dtype(dtype: np.dtype[Any], piece: pa.ChunkedArray) -> np.dtype[Any]:
-    return _missing_dtype(dtype) if pa.types.is_null(piece.type) else np.result_type(dtype, _dtype(piece))
-
-
-def _missing_dtype(dtype: np.dtype[Any]) -> np.dtype[Any]:
-    return dtype if dtype.kind == "M" else np.dtype("float64")
-
-
-def _nothing(dtype: np.dtype[Any]) -> Any:
-    return np.datetime64("NaT") if dtype.kind == "M" else np.nan
+    tests = (pa.types.is_integer, pa.types.is_floating, pa.types.is_boolean, pa.types.is_null)
+    return np.dtype("float64") if any(test(kind) for test in tests) else None
 
 
 def _categorical(texts: list[pa.Array]) -> pd.Categorical:
@@ -137,7 +105,8 @@ def _categorical(texts: list[pa.Array]) -> pd.Categorical:
     return pd.Categorical.from_codes(codes, coded.dictionary.to_pylist())
 
 
-_MOST_THREADS = 8
+#: Threads, and how many tables each may be ahead of what is copied.
+_MOST_THREADS, _AHEAD = 8, 4
 
 #: Allocated memory that is never touched costs nothing; growing later costs a copy.
 _SPARE = 1.05
@@ -293,14 +262,10 @@ class _Reader:
         types = {each.name: each.type for each in first.schema if not pa.types.is_null(each.type)}
         del first
         threads = min(_MOST_THREADS, cpu_count() or 1)
-        with ThreadPoolExecutor(max_workers=threads) as pool:
-            ahead: deque[Future[pa.Table]] = deque()
-            for run_id in run_ids[1:]:
-                ahead.append(pool.submit(self._read_one, run_id, types))
-                if len(ahead) > 2 * threads:
-                    yield ahead.popleft().result()
-            while ahead:
-                yield ahead.popleft().result()
+        with ThreadPoolExecutor(threads) as pool:
+            for begin in range(1, len(run_ids), _AHEAD * threads):
+                several = run_ids[begin : begin + _AHEAD * threads]
+                yield from pool.map(lambda run_id: self._read_one(run_id, types), several)
 
     def expected_rows(self, first: int) -> int:
         """Estimate the number of rows of all files from their sizes and the rows of the first."""
@@ -348,13 +313,7 @@ def labels_of(
 def places_of_phases(
     phases: Mapping[str, PhaseSpans], names: Sequence[str], times: Floats, slices: Mapping[str, slice]
 ) -> tuple[NDArray[Any], NDArray[np.int16]]:
-    """Return the phase of each sample, by its time on the run's clock.
-
-    Args:
-        phases: the phases of each run.
-        names: all names of phases.
-        times: of the samples, s on the run's clock.
-        slices: the samples of each run.
+    """Return the phase of each sample, by its time, s on the run's clock; `slices` has the samples of each run.
 
     Returns:
         The index of the phase's name in `names`, and its number; -1 and 0 outside all phases.

@@ -44,8 +44,35 @@ def test_with_a_yes_it_writes_and_lists_the_differences(root, tmp_path, capsys):
     assert main(["import", str(root), "--yes"]) == 0
     shown = capsys.readouterr().out
     assert "energy_J: 1 of 3 runs differ by more than 0.1%" in shown
-    assert "run_2: 30 in the table, 24 recomputed (-20.00%)" in shown
+    assert "run_2: 30 J in the table, 24 J recomputed (-20.00%)" in shown
     assert len(load_results(tmp_path / "earlier_imported").done) == 3
+
+
+def test_nobody_is_told_to_go_on_with_results_that_were_imported(root, tmp_path, capsys):
+    assert main(["import", str(root), "--yes"]) == 0
+    capsys.readouterr()
+    assert main(["status", "earlier_imported"]) == 0
+    shown = capsys.readouterr().out
+    assert "State imported: the runs were executed elsewhere, and there is no config with which to go on" in " ".join(
+        shown.split()
+    )
+    assert "Left" not in shown
+    assert main(["replicate", "earlier_imported", "--yes"]) == 2
+    refused = capsys.readouterr()
+    assert "earlier_imported: there is no config: these results were made elsewhere" in refused.err
+    assert refused.out == ""
+    assert [path.name for path in tmp_path.iterdir() if path.name.endswith("_replication")] == []
+
+
+def test_a_recomputed_value_has_its_own_unit_beside_a_column_in_another_one(root, capsys):
+    table = root / "run_table.csv"
+    table.write_text(table.read_text().replace("energy_J", "energy_mJ"))
+    assert main(["import", str(root), "--yes"]) == 0
+    assert "run_2: 0.03 J in the table, 24 J recomputed" in capsys.readouterr().out
+    assert main(["explain", "earlier_imported", "run_2"]) == 0
+    shown = [" ".join(line.split()) for line in capsys.readouterr().out.splitlines()]
+    assert "energy_mJ 30.00 mJ measure" in shown
+    assert "energy_mJ (recomputed, J) 24.00 measure" in shown
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
@@ -57,7 +84,7 @@ def test_a_signal_that_ends_it_leaves_nothing_half_written(number, root, tmp_pat
     def unheard(*_):
         raise AssertionError
 
-    monkeypatch.setattr(adoption, "write_records", stop)
+    monkeypatch.setattr(adoption, "write_manifest", stop)
     earlier = signal.signal(number, unheard)
     try:
         assert main(["import", str(root), "--yes"]) == 130

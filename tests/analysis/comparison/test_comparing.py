@@ -522,6 +522,18 @@ def test_doubtful_values_of_the_same_runs_are_told_together(tmp_path):
     assert compare(one, other).notes == ("Energy and CPU of r_2 are doubtful in one, and count all the same.",)
 
 
+def test_values_that_the_plan_of_an_experiment_leaves_out_are_told(tmp_path):
+    def values(treatments, repetition):
+        return {"Energy": 900.0 if (treatments["Task"], repetition) == ("Video", 2) else 10.0 + repetition / 10}
+
+    tasks = [Factor("Task", ["Video", "Network"])]
+    plan = {"measures": ["Energy"], "doubtful": "leave out", "outliers": {"bounds": {"Energy": [0, 50]}}}
+    one = make_experiment(tmp_path / "one", tasks, values, analysis=plan, doubts={"r_1": "hot", "r_4": "hot"}).root
+    other = make_experiment(tmp_path / "other", tasks, values).root
+    told = "Energy of r_1, r_4, r_3 is left out by the report of one, and counts all the same."
+    assert compare(one, other, is_paired=True).notes == (told,)
+
+
 def test_values_that_were_changed_by_hand_are_told(two_tasks):
     edited = two_tasks(shifted(VIDEO, 0.8))
     table = edited.files.run_table
@@ -530,6 +542,17 @@ def test_values_that_were_changed_by_hand_are_told(two_tasks):
     assert note.startswith(
         f"Of {edited.root.name}, cells of runs that were executed were changed by hand: Energy of r_1"
     )
+
+
+def test_values_that_were_changed_by_hand_and_accepted_are_told_as_well(two_tasks):
+    accepted = two_tasks(shifted(VIDEO, 0.8))
+    change = {"at": "2026-11-30T12:00:00.000Z", "run": "r_1", "column": "Energy", "was": "870.9", "is": "20.5"}
+    manifest = json.loads(accepted.files.manifest.read_text(encoding="utf-8"))
+    accepted.files.manifest.write_text(json.dumps(manifest | {"table_deviations": [change]}), encoding="utf-8")
+    told = (
+        f"Of {accepted.root.name}, cells were changed by hand in run_table.csv: Energy of r_1 from '870.9' to '20.5'."
+    )
+    assert told in compare(two_tasks().root, accepted.root).notes
 
 
 def test_a_single_name_and_a_bound_of_numpy_are_taken_as_they_are(two_tasks):

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from robot_runner.analysis.comparison.equivalence import agreement_of
+from robot_runner.analysis.comparison.compared import Bound
+from robot_runner.analysis.comparison.equivalence import agreement_of, equivalence_p_value
 
 
 def test_the_bias_of_experiments_of_different_sizes_is_that_of_all_runs() -> None:
@@ -24,3 +25,9 @@ def test_each_combination_counts_in_the_bias_by_its_pairs() -> None:
     found = agreement_of({"Video": video, "Network": network}, is_paired=False)
     assert found is not None
     assert found.bias == pytest.approx((2 * 3.0 + 1 * 0.5) / 3)
+
+
+def test_values_that_all_differ_by_just_the_bound_are_not_equivalent():
+    first = np.arange(10.0, 16.0)
+    p_value = equivalence_p_value(first, 1.5 * first, Bound(50.0, is_relative=True), is_paired=True)
+    assert not p_value < 0.05

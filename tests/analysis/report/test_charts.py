@@ -118,9 +118,8 @@ def test_the_timeline_tells_no_measurement_outside_of_its_attempt(tmp_path):
 
 
 def test_a_course_is_rounded_by_its_spread():
-    time = np.array([0.5, 1.5, 2.5])
-    run = Course("r_1", time, *(np.array(PRESSURES[:3]) + shift for shift in (0.0, -0.001, 0.001)), runs=1)
-    later = Course("r_2", time[1:], *[np.array([101325.04, np.nan])] * 3, runs=1)
+    run = Course("r_1", 1.0, np.arange(3), *(np.array(PRESSURES[:3]) + shift for shift in (0.0, -0.001, 0.001)), runs=1)
+    later = Course("r_2", 1.0, np.array([1, 2]), *[np.array([101325.04, np.nan])] * 3, runs=1)
     chart = course_chart("c", MissionCourses("Pressure", "Pa", ("a",), {"a": [run, later]}, 1.0))
     group = chart.data["groups"][0]
     assert group["each"][0]["values"] == list(PRESSURES[:3])

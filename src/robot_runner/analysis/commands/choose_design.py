@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 
 from robot_runner.analysis.commands.power import planned_experiment, show_progress
 from robot_runner.analysis.libraries import require_libraries
+from robot_runner.analysis.planning.candidate_designs import RunTimes, candidates_of
 from robot_runner.cli.console import Column, UserConsole, aligned, output, print_folded, print_json
 from robot_runner.cli.parser import Parser, UsageError, add_config, add_json, add_set
 from robot_runner.cli.planning import plan_of
@@ -26,7 +27,6 @@ from robot_runner.core.errors import AnalysisError, did_you_mean
 from robot_runner.core.words import shown_duration
 
 if TYPE_CHECKING:
-    from robot_runner.analysis.planning.candidate_designs import RunTimes
     from robot_runner.analysis.planning.design_comparison import DesignComparison
     from robot_runner.core.design.run_table_model import RunTableModel
     from robot_runner.core.execution.durations import Durations
@@ -74,8 +74,7 @@ def _comparison(arguments: Namespace) -> DesignComparison:
         problem = f"--power is {arguments.power}"
         raise UsageError(problem, where=_WHERE, fix="Give a share between 0 and 1, such as 0.8.")
     hard = _hard(arguments.hard)
-    from robot_runner.analysis.planning.candidate_designs import candidates_of  # noqa: PLC0415 - slow, and an extra
-    from robot_runner.analysis.planning.design_comparison import Asked, compare_designs  # noqa: PLC0415 - as above
+    from robot_runner.analysis.planning.design_comparison import Asked, compare_designs  # noqa: PLC0415 - slow, and an extra
     from robot_runner.analysis.planning.planned_study import counting_factor, counts_repetitions  # noqa: PLC0415 - as above
     from robot_runner.analysis.planning.power_analysis import Assumptions  # noqa: PLC0415 - as above
     from robot_runner.analysis.results import load_results  # noqa: PLC0415 - as above
@@ -123,8 +122,6 @@ def _times(
     Raises:
         AnalysisError: nothing tells it.
     """
-    from robot_runner.analysis.planning.candidate_designs import RunTimes  # noqa: PLC0415 - slow, and an extra
-
     pause = durations.pause if durations is not None else 0.0
     if arguments.run_time is not None:
         seconds = _seconds("--run-time", arguments.run_time)

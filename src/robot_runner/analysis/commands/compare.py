@@ -17,7 +17,7 @@ pair of treatments over all experiments, how much experiments differ, and what a
 from __future__ import annotations
 
 from argparse import Namespace
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
@@ -58,32 +58,23 @@ def add_arguments(parser: Parser) -> None:
     parser.add_argument("first", metavar="FIRST", help="the reference experiment")
     parser.add_argument("second", metavar="SECOND", help="the other one")
     parser.add_argument("more", metavar="MORE", nargs="*", default=[], help="further replications, for a meta-analysis")
-    parser.add_argument(
-        "--measure",
-        metavar="NAME",
-        action="append",
-        help="compare this measure, or NAME=OTHER if its name differs; may be given several times",
-    )
+
+    def add_repeated(option: str, metavar: str, text: str) -> None:
+        parser.add_argument(option, metavar=metavar, action="append", help=f"{text}; may be given several times")
+
+    add_repeated("--measure", "NAME", "compare this measure, or NAME=OTHER if its name differs")
     parser.add_argument("--meta", action="store_true", help="make a meta-analysis of two experiments, too")
-    parser.add_argument(
-        "--same",
-        metavar="NAME=OTHER",
-        action="append",
-        help="in a meta-analysis: a factor or treatment whose name differs; may be given several times",
-    )
-    parser.add_argument(
+    add_repeated("--same", "NAME=OTHER", "in a meta-analysis: a factor or treatment whose name differs")
+    add_repeated(
         "--bound",
-        metavar="BOUND",
-        action="append",
-        help="the largest difference that does not matter: 5%%, 10 (in the measure's unit), or NAME=BOUND; may be "
-        "given several times",
+        "BOUND",
+        "the largest difference that does not matter: 5%%, 10 (in the measure's unit), or NAME=BOUND",
     )
-    parser.add_argument(
+    add_repeated(
         "--rope",
-        metavar="REGION",
-        action="append",
-        help="say how probable it is that a difference lies within this region of practical equivalence: 2%%, 10, "
-        "'5 J' or NAME=REGION; may be given several times",
+        "REGION",
+        "say how probable it is that a difference lies within this region of practical equivalence: 2%%, 10, '5 J' or "
+        "NAME=REGION",
     )
     parser.add_argument(
         "--paired",
@@ -223,7 +214,10 @@ def _print_measure(console: UserConsole, comparison: Comparison, measure: Measur
 
     console.print()
     head = Text(measure.label, style="bold").append("  ").append(measure.verdict.value, _STYLES[measure.verdict.value])
-    console.print(head.append("".join(_origins(measure)), "not bold yellow"))
+    origins = (measure.first_origin, measure.second_origin)
+    if not {None, "measured"}.issuperset(origins):
+        head.append(f"  ({'; '.join(each or 'unknown' for each in origins)})", "not bold yellow")
+    console.print(head)
     _print_rows(console, difference_table(comparison, measure))
     agreement = measure.agreement
     if agreement is not None and agreement.error is not None:
@@ -275,9 +269,3 @@ def _print_combined(found: MetaAnalysis, console: UserConsole) -> None:
         console.print()
     for finding in found.findings:
         print_folded(console, "  ! ", one_line(str(finding)), style="bold yellow")
-
-
-def _origins(measure: MeasureComparison) -> Iterator[str]:
-    origins = [origin for origin in (measure.first_origin, measure.second_origin) if origin not in {None, "measured"}]
-    if origins:
-        yield f"  ({measure.first_origin or 'unknown'}; {measure.second_origin or 'unknown'})"

@@ -11,7 +11,7 @@ import signal
 from argparse import Namespace
 from pathlib import Path
 from types import FrameType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from robot_runner.analysis.commands.import_words import (
     differences_as_json,
@@ -19,15 +19,25 @@ from robot_runner.analysis.commands.import_words import (
     print_understanding,
     understanding_as_json,
 )
+from robot_runner.analysis.declared_design import parse_design
+from robot_runner.analysis.importing.description import (
+    ImportDescription,
+    SamplesDescription,
+    check_time_unit,
+    check_unit,
+    description_text,
+    parse_recipe,
+    read_description,
+)
 from robot_runner.analysis.libraries import require_libraries
 from robot_runner.cli.console import output, print_json
 from robot_runner.cli.parser import Parser, UsageError, add_json
 from robot_runner.cli.screens.plain import terminal_input
 from robot_runner.core.errors import AnalysisError
 from robot_runner.core.execution.interruption import stop_signals_handled, stop_signals_to_handle
+from robot_runner.core.storage.safe_write import write_beside_and_rename
 
 if TYPE_CHECKING:
-    from robot_runner.analysis.importing.description import ImportDescription
     from robot_runner.analysis.importing.understanding import Understanding
 
 #: Options that say the same as the entry of a description with their name.
@@ -100,11 +110,16 @@ def execute(arguments: Namespace) -> int:
     understanding = understand(Path(arguments.folder).expanduser(), _said(arguments))
     target = Path(arguments.to or f"{understanding.name}_imported").expanduser()
     if arguments.save_description:
-        _save_description(Path(arguments.save_description).expanduser(), understanding)
+        text = description_text(understanding.description)
+        write_beside_and_rename(Path(arguments.save_description).expanduser(), lambda file: file.write(text))
     if not arguments.json:
         print_understanding(output(), understanding, target)
     if arguments.dry_run:
-        return _shown(arguments, understanding)
+        if arguments.json:
+            print_json(understanding_as_json(understanding))
+        else:
+            output().print("Nothing was written (--dry-run).", style="bold")
+        return 0
     _make_sure(arguments, understanding)
     with stop_signals_handled(_stop):
         adoption = adopt(understanding, target)
@@ -130,16 +145,8 @@ def _stop(_number: int, _frame: FrameType | None) -> None:
 
 
 def _said(arguments: Namespace) -> ImportDescription:
-    from robot_runner.analysis.declared_design import parse_design  # noqa: PLC0415 - as above
-    from robot_runner.analysis.importing.description import (  # noqa: PLC0415 - as above
-        ImportDescription,
-        parse_recipe,
-        read_description,
-    )
-
-    described = (
-        read_description(Path(arguments.description).expanduser()) if arguments.description else ImportDescription()
-    )
+    path = Path(arguments.description).expanduser() if arguments.description else None
+    described = ImportDescription() if path is None else read_description(path)
     return described.with_options(
         ImportDescription(
             **{name: getattr(arguments, name) for name in _TEXTS},
@@ -157,8 +164,6 @@ def _said(arguments: Namespace) -> ImportDescription:
 
 
 def _assignment(option: str, text: str) -> tuple[str, str]:
-    from robot_runner.analysis.importing.description import check_unit  # noqa: PLC0415 - as above
-
     name, equals, unit = text.rpartition("=")
     if not equals or not name:
         raise UsageError(f"{text!r} names no unit", where=option, fix="Write COLUMN=UNIT, such as energy=mJ.")
@@ -166,9 +171,7 @@ def _assignment(option: str, text: str) -> tuple[str, str]:
     return name.strip(), unit.strip()
 
 
-def _samples(arguments: Namespace) -> Any:
-    from robot_runner.analysis.importing.description import SamplesDescription, check_time_unit  # noqa: PLC0415 - as above
-
+def _samples(arguments: Namespace) -> tuple[SamplesDescription, ...]:
     units: dict[str, dict[str, str]] = {}
     for text in arguments.sample_unit:
         name, unit = _assignment("--sample-unit", text)
@@ -190,22 +193,6 @@ def _samples(arguments: Namespace) -> Any:
         heading, counted_in = times.get(file, (None, None))
         said.append(SamplesDescription(file, time=heading, time_unit=counted_in, units=units.get(file, {})))
     return tuple(said)
-
-
-def _save_description(path: Path, understanding: Understanding) -> None:
-    from robot_runner.analysis.importing.description import description_text  # noqa: PLC0415 - as above
-    from robot_runner.core.storage.safe_write import write_beside_and_rename  # noqa: PLC0415 - as above
-
-    text = description_text(understanding.description)
-    write_beside_and_rename(path, lambda file: file.write(text))
-
-
-def _shown(arguments: Namespace, understanding: Understanding) -> int:
-    if arguments.json:
-        print_json(understanding_as_json(understanding))
-    else:
-        output().print("Nothing was written (--dry-run).", style="bold")
-    return 0
 
 
 def _make_sure(arguments: Namespace, understanding: Understanding) -> None:

@@ -112,10 +112,10 @@ def print_adoption(console: UserConsole, adoption: Adoption) -> None:
             console.print(f"    the recomputed values are {each.factor:g} times the table's: is a unit mistaken?")
         for difference in each.differing[:_SHOWN_DIFFERENCES]:
             relative_words = "" if difference.relative is None else f" ({difference.relative:+.2%})"
-            console.print(
-                f"    {difference.run_id}: {difference.table:.6g} in the table, {difference.recomputed:.6g} recomputed"
-                f"{relative_words}"
+            there, here = (
+                f"{value:.6g} {difference.unit}".rstrip() for value in (difference.table, difference.recomputed)
             )
+            console.print(f"    {difference.run_id}: {there} in the table, {here} recomputed{relative_words}")
     if not found:
         console.print("  nothing could be recomputed")
     for warning in adoption.warnings:
@@ -181,6 +181,7 @@ def differences_as_json(adoption: Adoption) -> list[dict[str, Any]]:
             "measure": each.measure,
             "table": each.table,
             "recomputed": each.recomputed,
+            "unit": each.unit,
             "relative": each.relative,
         }
         for each in adoption.differences

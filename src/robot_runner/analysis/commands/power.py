@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from robot_runner.analysis.libraries import require_libraries
+from robot_runner.analysis.wording import shown_number
 from robot_runner.cli.console import (
     Column,
     UserConsole,
@@ -76,7 +77,11 @@ def add_assumptions(parser: Parser) -> None:
             "what the last treatment adds to the first (beside a pilot: the smallest of interest; 'A x B' interact)",
         ),
         ("--block-sd", "[MEASURE=]SD", "standard deviation of what a block adds to all of its runs"),
-        ("--response-sd", "[MEASURE=]SD", "standard deviation of what a block adds to one combination"),
+        (
+            "--response-sd",
+            "[[MEASURE:]FACTOR=]SD",
+            "standard deviation of what a block adds to all of its runs of a treatment, of each factor or of one",
+        ),
         ("--measure", "NAME", "simulate this measure; without the option, those of the plan"),
         ("--effect", "CLAIM", "the effect to find: a hypothesis, Task or 'Task x Speed'"),
     ):
@@ -240,8 +245,6 @@ def _print(console: UserConsole, analysis: PowerAnalysis, scenario: ScenarioPowe
 
 
 def _assumed_in_words(measure: AssumedMeasure) -> str:
-    from robot_runner.analysis.wording import shown_number  # noqa: PLC0415 - slow, and an extra
-
     means = [f"{shown_number(mean)} for {' / '.join(cell)}" for cell, mean in measure.means.items()]
     ends = [shown_number(spread) for spread in (min(measure.spreads.values()), max(measure.spreads.values()))]
     spread = " to ".join(dict.fromkeys(ends))

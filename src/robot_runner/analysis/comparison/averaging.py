@@ -45,6 +45,7 @@ from robot_runner.analysis.statistics.tests import AnyModel, planned_model_of
 from robot_runner.core.design.analysis_plan import Correction, Estimand
 from robot_runner.core.design.outliers import Doubtful
 from robot_runner.core.errors import AnalysisError, Finding
+from robot_runner.core.storage.executed_runs import changes_in_words
 
 if TYPE_CHECKING:
     from robot_runner.analysis.statistics.analysed_design import MeasureData
@@ -97,7 +98,8 @@ def meta_analyse(
     chosen, found = chosen_measures_of_all(alike, None if measures is None else several(measures))
     findings += found
     findings += [finding for of in (unit_findings, value_findings) for each in chosen for finding in of(each, alike)]
-    findings += [Finding.warning(each.name, why) for each in alike if (why := failures_in_words(each.results))]
+    told = [(each.name, (failures_in_words(each.results), changes_in_words(each.results.manifest))) for each in alike]
+    findings += [Finding.warning(name, why) for name, whys in told for why in whys if why]
     findings += [Finding.warning(each.name, why) for each in alike if (why := _other_estimand(each.results.plan))]
     findings += [Finding.warning(each.name, odd.problem, odd.fix) for each in alike for odd in each.results.findings]
     AnalysisError.refuse(each for each in findings if each.is_error)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
@@ -111,22 +111,34 @@ class Bounds:
         Raises:
             AnalysisError: a text is not a bound, or a measure has two.
         """
-        general: Bound | None = None
-        own: dict[str, Bound] = {}
-        for text in texts:
-            # The bound is a number, so the name is everything before the last =.
-            name, equals, value = text.rpartition("=")
-            if name in own or (not equals and general is not None):
-                raise AnalysisError(f"{text!r} is a second bound", where="bound", fix="Leave one of them out.")
-            if equals:
-                own[name] = Bound.parse(value)
-            else:
-                general = Bound.parse(value)
-        return cls(general, own)
+        general, own = stated(texts, lambda text: ("", Bound.parse(text)), "bound", "bound")
+        return cls(general.get(""), {name: bound for name, (_, bound) in own.items()})
 
     def of(self, measure: str) -> Bound | None:
         """Return the bound of a measure, if it has one."""
         return self.own.get(measure, self.general)
+
+
+def stated(
+    texts: Iterable[str], read: Callable[[str], tuple[str, Bound]], what: str, where: str
+) -> tuple[dict[str, Bound], dict[str, tuple[str, Bound]]]:
+    """Return the bounds of all measures, by unit, and those of single measures with their units, by name.
+
+    Raises:
+        AnalysisError: a measure has two.
+    """
+    general: dict[str, Bound] = {}
+    own: dict[str, tuple[str, Bound]] = {}
+    for text in texts:
+        name, equals, value = text.rpartition("=")  # the bound is a number, so the name is everything before the last =
+        unit, bound = read(value)
+        if name in own or (not equals and unit in general):
+            raise AnalysisError(f"{text!r} is a second {what}", where=where, fix="Leave one of them out.")
+        if equals:
+            own[name] = unit, bound
+        else:
+            general[unit] = bound
+    return general, own
 
 
 class Verdict(Enum):

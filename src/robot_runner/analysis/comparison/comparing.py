@@ -32,7 +32,15 @@ from robot_runner.analysis.comparison.equivalence import (
     spread_of,
     why_not_testable,
 )
-from robot_runner.analysis.comparison.harmonising import COPIED, SAME_VALUES, same_measures, same_runs, sameness
+from robot_runner.analysis.comparison.harmonising import (
+    COPIED,
+    SAME_VALUES,
+    Experiment,
+    notes_on_oddities,
+    same_measures,
+    same_runs,
+    sameness,
+)
 from robot_runner.analysis.comparison.matching import (
     MatchedValues,
     Matching,
@@ -50,14 +58,12 @@ from robot_runner.analysis.comparison.matching import (
 from robot_runner.analysis.comparison.shared_units import Units, estimate_of
 from robot_runner.analysis.results import Results, results_of
 from robot_runner.analysis.statistics.experiment_statistics import SEARCHED
-from robot_runner.analysis.statistics.lost_runs import failures_in_words
 from robot_runner.analysis.statistics.post_hoc import adjusted
-from robot_runner.analysis.statistics.robustness import doubtful_runs
 from robot_runner.analysis.statistics.tested import NotComputed
 from robot_runner.analysis.wording import listed, sentence, shown_level, shown_number
 from robot_runner.core.design.analysis_plan import Correction
 from robot_runner.core.errors import AnalysisError
-from robot_runner.core.words import counted, enumerated, has_true_zero
+from robot_runner.core.words import counted, has_true_zero
 
 _ALPHA = 0.05
 _PERCENT = 100.0
@@ -118,11 +124,6 @@ def compare(
         *matching.notes,
         *(notes_on_left_out(called, (ours, theirs), chosen) if measures is None else ()),
         *_notes_on_values((ours, theirs), called, chosen),
-        *(
-            f"Of {name}, {why}."
-            for name, each in zip(called, (ours, theirs), strict=True)
-            for why in filter(None, (failures_in_words(each), *(found.problem for found in each.findings)))
-        ),
         *_note_on_chance(compared, alpha),
     ]
     return Comparison(
@@ -190,13 +191,7 @@ def _notes_on_values(
         if units[0] != units[1] and of_one_quantity(units[1], units[0]):
             yield f"{one} is in {units[0]} and {units[1]}: values of {called[1]} are converted to {units[0]}."
     for name, results, measures in zip(called, experiments, zip(*chosen, strict=True), strict=True):
-        doubtful, alike = doubtful_runs(results), dict[tuple[str, ...], list[str]]()
-        for measure in measures:
-            if measure in doubtful:
-                alike.setdefault(doubtful[measure], []).append(measure)
-        for runs, doubted in alike.items():
-            do = "is doubtful in {}, and counts" if len(doubted) == 1 else "are doubtful in {}, and count"
-            yield f"{enumerated(doubted)} of {listed(runs)} {do.format(name)} all the same."
+        yield from notes_on_oddities(Experiment.of_results(name, results), measures)
 
 
 def _bounds(given: str | float | Bound | Iterable[str] | None) -> Bounds:
@@ -362,7 +357,7 @@ def _facts_of(units: Units, first: Floats, second: Floats) -> dict[str, Any]:
     for name, (values, kinds, count) in zip(("first", "second"), pairs, strict=True):
         found[f"{name}_units"] = count
         if len(values) > 1 and count != 1:
-            found[f"{name}_error"] = estimate_of(values, kinds).variance ** 0.5
+            found[f"{name}_error"] = estimate_of(values, kinds).error
     return found
 
 

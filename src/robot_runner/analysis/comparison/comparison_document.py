@@ -231,13 +231,7 @@ def difference_table(comparison: Comparison, measure: MeasureComparison) -> Tabl
 
 
 def procedure_of(*, are_proportions: bool, is_paired: bool, together: Sequence[str]) -> str:
-    """Return the test of a difference in words.
-
-    Args:
-        are_proportions: whether the values of the measure are yes or no.
-        is_paired: whether runs are pairs.
-        together: the units whose runs count together.
-    """
+    """Return the test of a difference in words; `together` are the units whose runs count together."""
     of_means = "t-test of pairs" if is_paired else "Welch's t-test"
     test = "Newcombe's score intervals" if are_proportions else of_means
     if not together:

@@ -1,5 +1,7 @@
 """Statistics of two experiments: tests of difference and equivalence, limits of agreement, practical equivalence.
 
+Values of pairs have the same order in both experiments; `units` are those whose values vary together.
+
 Practical equivalence is the posterior probability that a difference is too small to matter. The prior is the reference
 prior of each mean and standard deviation, p(mean, sd) = 1 / sd, so that the posterior of a mean is Student's t around
 the sample mean. The difference then has the Behrens-Fisher distribution for two independent experiments, and Student's
@@ -12,23 +14,20 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from scipy import integrate, optimize, special, stats
+from scipy import integrate, optimize
 
 from robot_runner.analysis.arrays import Floats
-from robot_runner.analysis.comparison.compared import Agreement, Bound, PracticalEquivalence
+from robot_runner.analysis.comparison.compared import Agreement, Bound, PracticalEquivalence, stated
 from robot_runner.analysis.comparison.matching import of_one_quantity
-from robot_runner.analysis.comparison.shared_units import APART, MeansTest, Units, estimate_of, shares_of
+from robot_runner.analysis.comparison.shared_units import APART, Estimate, Units, estimate_of, shares_of
 from robot_runner.analysis.importing.units import known_units, unit_of
 from robot_runner.analysis.statistics.descriptive import STEPS_OF_NOISE, out_of_range, quiet, step_of
 from robot_runner.analysis.statistics.proportions import difference_ends, score_of
 from robot_runner.analysis.statistics.tested import Interval
 from robot_runner.core.errors import AnalysisError, did_you_mean
-
-if TYPE_CHECKING:
-    from robot_runner.analysis.comparison.shared_units import Kinds
 
 _PERCENT = 100.0
 _FEWEST = 2
@@ -36,9 +35,8 @@ _FEWEST = 2
 _ROUNDING = 1e-12
 
 
-@dataclass(frozen=True, slots=True)
-class DifferenceTest:
-    """A t-test of a difference of means; its interval is at 1 - alpha, the narrow one at 1 - 2 alpha."""
+class DifferenceTest(NamedTuple):
+    """A test of a difference; its interval is at 1 - alpha, the narrow one at 1 - 2 alpha."""
 
     p_value: float
     interval: Interval
@@ -56,7 +54,7 @@ def why_not_testable(first: Floats, second: Floats, *, is_paired: bool, units: U
     spread = float(np.ptp(second - first)) if is_paired else float(np.ptp(first)) + float(np.ptp(second))
     if spread <= _ROUNDING * max(float(np.abs(first).max()), float(np.abs(second).max())):
         return _hardly_varies(first, second, spread, is_paired=is_paired)
-    if units.are_shared and not _means_test(second, first, is_paired=is_paired, units=units).error > 0:
+    if units.are_shared and not _difference(first, second, is_paired=is_paired, units=units).variance > 0:
         return f"The means of each {units.name} are equal, so chance cannot be told from a difference."
     return ""
 
@@ -79,49 +77,22 @@ def spread_of(values: Floats) -> float | None:
 def difference_test(
     first: Floats, second: Floats, *, alpha: float, is_paired: bool, units: Units = APART
 ) -> DifferenceTest:
-    """Test the difference of two means, second minus first: Welch's t-test, or one of pairs.
-
-    Args:
-        first: values of the first experiment.
-        second: values of the second; pairs have the same order.
-        alpha: the level of significance.
-        is_paired: whether values are pairs.
-        units: the units whose values vary together.
-    """
-    result = _t_test(second, first, is_paired=is_paired, units=units)
+    """Test the difference of two means, second minus first: Welch's t-test, or one of pairs."""
+    found = _difference(first, second, is_paired=is_paired, units=units)
     method = ("paired t" if is_paired else "Welch's t") + units.in_words
-    intervals = []
-    for level in (1 - alpha, 1 - 2 * alpha):
-        interval = result.confidence_interval(confidence_level=level)
-        intervals.append(Interval(float(interval.low), float(interval.high), level, method))
-    return DifferenceTest(float(result.pvalue), *intervals)
+    wide, narrow = (found.interval(level, method) for level in (1 - alpha, 1 - 2 * alpha))
+    return DifferenceTest(2 * min(found.below(0.0), found.above(0.0)), wide, narrow)
 
 
 def equivalence_p_value(first: Floats, second: Floats, bound: Bound, *, is_paired: bool, units: Units = APART) -> float:
-    """Return the p-value of two one-sided tests (TOST) that the second mean lies within a bound around the first.
-
-    Args:
-        first: values of the first experiment.
-        second: values of the second; pairs have the same order.
-        bound: the largest difference that does not matter.
-        is_paired: whether values are pairs.
-        units: the units whose values vary together.
-    """
-    lower, upper = _edges(first, bound)
-    above = _t_test(second, lower, is_paired=is_paired, units=units, alternative="greater")
-    below = _t_test(second, upper, is_paired=is_paired, units=units, alternative="less")
-    return max(float(above.pvalue), float(below.pvalue))
+    """Return the p-value of two one-sided tests (TOST) that the second mean lies within a bound around the first."""
+    lower, upper = (_difference(edge, second, is_paired=is_paired, units=units) for edge in _edges(first, bound))
+    with quiet():  # differences to an edge may all be equal
+        return float(np.maximum(lower.below(0.0), upper.above(0.0)))  # NaN, where they all are the edge
 
 
 def proportion_test(first: Floats, second: Floats, *, alpha: float, units: Units = APART) -> DifferenceTest:
-    """Test the difference of two proportions, second minus first, by Newcombe's score intervals.
-
-    Args:
-        first: answers of the first experiment, 1 for yes and 0 for no.
-        second: answers of the second.
-        alpha: the level of significance.
-        units: the units whose answers vary together.
-    """
+    """Test the difference of two proportions of answers (1 for yes, 0 for no) by Newcombe's score intervals."""
     one, other, chance = shares_of(first, second, units)
     ends = [difference_ends(other, one, float(chance.isf(each))) for each in (alpha / 2, alpha)]
     p_value = min(1.0, 2 * float(chance.sf(abs(score_of(other, one)))))
@@ -144,22 +115,11 @@ def equivalent_proportions(first: Floats, second: Floats, bound: Bound, *, units
     return float(chance.sf(min(scores)))
 
 
-def _means_test(
-    one: Floats, other: Floats, *, is_paired: bool, units: Units, alternative: str = "two-sided"
-) -> MeansTest:
+def _difference(first: Floats, second: Floats, *, is_paired: bool, units: Units) -> Estimate:
+    """Return the difference of two means, second minus first."""
     if is_paired:
-        return MeansTest.of_pairs(estimate_of(one - other, units.of_pairs), alternative)
-    return MeansTest.of_means(estimate_of(one, units.second), estimate_of(other, units.first), alternative)
-
-
-def _t_test(one: Floats, other: Floats, *, is_paired: bool, units: Units, **settings: str) -> Any:
-    """Return scipy's t-test of pairs, or Welch's; for values that vary together, the same test for units."""
-    if units.are_shared:
-        return _means_test(one, other, is_paired=is_paired, units=units, **settings)
-    with quiet():  # scipy warns of lost precision where all values of an experiment are equal
-        if is_paired:
-            return stats.ttest_1samp(one - other, 0.0, **settings)
-        return stats.ttest_ind(one, other, equal_var=False, **settings)
+        return estimate_of(second - first, units.of_pairs)
+    return estimate_of(second, units.second).less(estimate_of(first, units.first))
 
 
 #: Bland and Altman, "Statistical methods for assessing agreement between two methods of clinical measurement" (Lancet
@@ -247,18 +207,7 @@ class Regions:
         Raises:
             AnalysisError: a text is not a region, or a measure has two.
         """
-        general: dict[str, Bound] = {}
-        own: dict[str, tuple[str, Bound]] = {}
-        for text in texts:
-            name, equals, value = text.rpartition("=")
-            unit, bound = _read(value)
-            if name in own or (not equals and unit in general):
-                raise AnalysisError(f"{text!r} is a second region", where="rope", fix="Leave one of them out.")
-            if equals:
-                own[name] = (unit, bound)
-            else:
-                general[unit] = bound
-        return cls(general, own)
+        return cls(*stated(texts, _read, "region", "rope"))
 
     def of(self, measure: str, unit: str) -> Bound | None:
         """Return the region of a measure, in its unit; None where it has none.
@@ -300,66 +249,32 @@ def _in_unit(bound: Bound, given: str, wanted: str) -> Bound | None:
     return None if units is None else Bound(bound.value * units[0].factor / units[1].factor)
 
 
-class _Posterior(NamedTuple):
-    """The posterior of a mean: Student's t."""
-
-    mean: float
-    scale: float
-    freedom: float
-
-    @classmethod
-    def of(cls, values: Floats, kinds: Kinds = ()) -> _Posterior:
-        if kinds:
-            found = estimate_of(values, kinds)
-            return cls(found.mean, found.variance**0.5, found.freedom)
-        return cls(float(values.mean()), float(values.std(ddof=1)) / len(values) ** 0.5, len(values) - 1)
-
-    def below(self, edge: float) -> float:
-        return float(special.stdtr(self.freedom, (edge - self.mean) / self.scale))
-
-    def quantile(self, share: float) -> float:
-        return float(self.mean + self.scale * special.stdtrit(self.freedom, share))
-
-
 def practical_equivalence(
     first: Floats, second: Floats, bound: Bound, *, alpha: float, is_paired: bool, units: Units = APART
 ) -> PracticalEquivalence | None:
     """Return the probabilities that the second mean lies below, within and above a region around the first.
 
-    Args:
-        first: values of the first experiment, at least two.
-        second: values of the second; pairs have the same order.
-        bound: the half-width of the region; a percentage is of the first mean, which is an estimate itself.
-        alpha: the credible interval of the difference is at 1 - alpha.
-        is_paired: whether values are pairs.
-        units: the units whose values vary together.
-
-    Returns:
-        The probabilities; None where values do not vary, so that there is no posterior.
+    The credible interval of the difference is at 1 - alpha. A percentage is of the first mean, which is an estimate
+    itself. None where values do not vary, so that there is no posterior.
     """
     if is_paired:
         return _of_pairs(first, second, bound, alpha, units)
-    kinds = (units.first, units.second) if units.are_shared else ((), ())
-    one, other = map(_Posterior.of, (first, second), kinds)
-    if not min(one.scale, other.scale) > 0:
+    one, other = estimate_of(first, units.first), estimate_of(second, units.second)
+    if not min(one.variance, other.variance) > 0:
         return None
-
-    def half(mean: float) -> float:
-        return bound.in_units(mean)
-
-    below = _probability(one, other, lambda mean: mean - half(mean))
-    above = 1 - _probability(one, other, lambda mean: mean + half(mean))
+    below = _probability(one, other, lambda mean: mean - bound.in_units(mean))
+    above = 1 - _probability(one, other, lambda mean: mean + bound.in_units(mean))
     low, high = (_quantile(one, other, share) for share in (alpha / 2, 1 - alpha / 2))
     return _result(first, bound, below, above, Interval(low, high, 1 - alpha, "posterior (Behrens-Fisher)"))
 
 
 def _of_pairs(first: Floats, second: Floats, bound: Bound, alpha: float, units: Units) -> PracticalEquivalence | None:
-    kinds = units.of_pairs if units.are_shared else ()
-    lower, upper, difference = (_Posterior.of(second - each, kinds) for each in (*_edges(first, bound), first))
-    if not min(lower.scale, upper.scale, difference.scale) > 0:
+    edges = (*_edges(first, bound), first)
+    lower, upper, difference = (_difference(edge, second, is_paired=True, units=units) for edge in edges)
+    if not min(lower.variance, upper.variance, difference.variance) > 0:
         return None
-    ends = Interval(difference.quantile(alpha / 2), difference.quantile(1 - alpha / 2), 1 - alpha, "posterior (t)")
-    return _result(first, bound, lower.below(0.0), 1 - upper.below(0.0), ends)
+    ends = difference.interval(1 - alpha, "posterior (t)")
+    return _result(first, bound, lower.below(0.0), upper.above(0.0), ends)
 
 
 def _edges(first: Floats, bound: Bound) -> list[Floats]:
@@ -375,13 +290,13 @@ def _result(first: Floats, bound: Bound, below: float, above: float, interval: I
     return PracticalEquivalence(bound.in_units(float(first.mean())), below, within, above, interval)
 
 
-def _probability(one: _Posterior, other: _Posterior, edge: Callable[[float], float]) -> float:
+def _probability(one: Estimate, other: Estimate, edge: Callable[[float], float]) -> float:
     """Return the probability that the other mean lies below an edge that depends on the one."""
     found = integrate.quad(lambda share: other.below(edge(one.quantile(share))), 0.0, 1.0, limit=_PARTS)
     return min(1.0, max(0.0, float(found[0])))
 
 
-def _quantile(one: _Posterior, other: _Posterior, share: float) -> float:
+def _quantile(one: Estimate, other: Estimate, share: float) -> float:
     """Return the quantile of the difference, other minus one."""
     # The sums of quantiles at half the probability enclose the root (Bonferroni).
     part = min(share, 1 - share) / 2

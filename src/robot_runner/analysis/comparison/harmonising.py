@@ -13,9 +13,11 @@ from robot_runner.analysis.comparison.matching import in_unit, of_one_quantity
 from robot_runner.analysis.statistics.analysed_design import VALUE, Design, MeasureData, design_of
 from robot_runner.analysis.statistics.known_design import before_column
 from robot_runner.analysis.statistics.left_out import left_out_of
+from robot_runner.analysis.statistics.lost_runs import failures_in_words
 from robot_runner.analysis.statistics.robustness import doubtful_runs
 from robot_runner.core.design.columns import RUN_ID
 from robot_runner.core.errors import Finding, did_you_mean, nearest
+from robot_runner.core.storage.executed_runs import changes_in_words
 from robot_runner.core.words import enumerated, listed
 
 if TYPE_CHECKING:
@@ -90,6 +92,11 @@ class Experiment:
         """Return the runs whose value of a measure is left out by the experiment's own plan."""
         left_out = left_out_of(self.design, column, self.results.plan, self.doubtful.get(column, ()))
         return tuple(each.run_id for each in left_out)
+
+    def kept_doubtful(self, column: str) -> tuple[str, ...]:
+        """Return the runs whose value of a measure is doubtful, and kept by the plan."""
+        left_out = self.left_out(column)
+        return tuple(run_id for run_id in self.doubtful.get(column, ()) if run_id not in left_out)
 
     def data(self, column: str, unit: str) -> MeasureData | None:
         """Return the values of a measure that the plan keeps, in this unit; None where they are not numbers."""
@@ -317,14 +324,30 @@ def _call(names: Sequence[str], results: Results) -> str:
 def value_findings(choice: MeasureChoice, experiments: Sequence[Experiment]) -> Iterator[Finding]:
     """Yield warnings of values of a measure that a plan leaves out, and of doubtful ones that it keeps."""
     for each in experiments:
-        column = choice.columns.get(each.name, "")
-        left_out = each.left_out(column) if column else ()
-        doubtful = [run_id for run_id in each.doubtful.get(column, ()) if run_id not in left_out]
-        if left_out:
+        column = choice.columns.get(each.name)
+        if column is None:
+            continue
+        if left_out := each.left_out(column):
             yield Finding.warning(each.name, f"the plan of this experiment leaves out {column} of {listed(left_out)}")
-        if doubtful:
+        if doubtful := each.kept_doubtful(column):
             fix = "Look at its report, which says what stands without them."
             yield Finding.warning(each.name, f"{column} of {listed(doubtful)} is doubtful", fix)
+
+
+def notes_on_oddities(experiment: Experiment, columns: Sequence[str]) -> Iterator[str]:
+    """Yield notes on values that the report leaves out and doubtful ones, which are compared; then on odd runs."""
+    odd = {"left out by the report of": experiment.left_out, "doubtful in": experiment.kept_doubtful}
+    for what, runs_of in odd.items():
+        alike = dict[tuple[str, ...], list[str]]()
+        for column in columns:
+            if runs := runs_of(column):
+                alike.setdefault(runs, []).append(column)
+        for runs, found in alike.items():
+            be, count = ("is", "counts") if len(found) == 1 else ("are", "count")
+            yield f"{enumerated(found)} of {listed(runs)} {be} {what} {experiment.name}, and {count} all the same."
+    results = experiment.results
+    told = failures_in_words(results), changes_in_words(results.manifest), *(odd.problem for odd in results.findings)
+    yield from (f"Of {experiment.name}, {why}." for why in told if why)
 
 
 def unit_findings(choice: MeasureChoice, experiments: Sequence[Experiment]) -> Iterator[Finding]:

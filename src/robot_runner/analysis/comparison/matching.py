@@ -12,7 +12,7 @@ import pandas as pd
 from robot_runner.analysis.arrays import Floats
 from robot_runner.analysis.comparison.shared_units import APART, Units, same_robots, unit_columns_of_both
 from robot_runner.analysis.importing.units import Unit, unit_of
-from robot_runner.analysis.run_frame import several
+from robot_runner.analysis.run_frame import fact_of, several
 from robot_runner.core.design.columns import RUN_ID
 from robot_runner.core.errors import AnalysisError, did_you_mean
 from robot_runner.core.secret_names import shown_settings
@@ -115,10 +115,7 @@ def match_runs(first: Results, second: Results, *, is_paired: bool) -> Matching:
 def chosen_measures(first: Results, second: Results, wanted: str | Sequence[str] | None) -> list[tuple[str, str]]:
     """Return the measures to compare, by their names in each experiment.
 
-    Args:
-        first: the reference experiment.
-        second: the other one.
-        wanted: names, or `one=other` where they differ; None for all measures of both, except texts.
+    Wanted are names, or `one=other` where they differ; None for all measures of both, except texts.
 
     Raises:
         AnalysisError: an experiment has no such measure, or they have none in common.
@@ -341,12 +338,11 @@ def numbers_of(values: pd.Series) -> Floats:
     return np.asarray(values.to_numpy(dtype=np.float64, na_value=np.nan))
 
 
-_SET_BY_HAND = ("deviations",)
 _ASPECTS = (
     ("Robot", ("robot",)),
     ("Config", ("config", "file")),
     ("Seed of the order", ("seed",)),
-    ("Set by hand", _SET_BY_HAND),
+    ("Set by hand", ("deviations",)),
     ("Robot Runner", ("software", "robot_runner")),
     ("Python", ("software", "python")),
     ("System", ("host", "system")),
@@ -373,13 +369,13 @@ _ORDINALS = {0: "first", 1: "second", 2: "third"}
 def differing_circumstances(*experiments: Results) -> tuple[tuple[str, ...], ...]:
     """Return the circumstances that differ between experiments: the circumstance, then its value in each."""
     rows = [("Runs that are done", *(str(len(each.done)) for each in experiments))]
-    rows += [(name, *(_shown(_within(each.manifest, keys)) for each in experiments)) for name, keys in _ASPECTS]
+    rows += [(name, *(_shown(fact_of(each.manifest, *keys)) for each in experiments)) for name, keys in _ASPECTS]
     blocks = {name for each in unit_columns_of_both(*experiments) for name in each.every}
     for factor in experiments[0].factors:
         if all(factor in each.factors for each in experiments):
             treatments = (", ".join(map(str, each.runs[factor].cat.categories)) for each in experiments)
             rows.append((factor if factor in blocks else f"Treatments of {factor}", *treatments))
-            revisions = [_within(each.manifest, ("revisions", factor)) or {} for each in experiments]
+            revisions = [fact_of(each.manifest, "revisions", factor, default={}) for each in experiments]
             for name in revisions[0]:
                 of_each = [each.get(name) or {} for each in revisions]
                 if len({facts.get("commit") for facts in of_each}) > 1:  # not where its repository was
@@ -387,14 +383,7 @@ def differing_circumstances(*experiments: Results) -> tuple[tuple[str, ...], ...
     return tuple(row for row in rows if len(set(row[1:])) > 1)
 
 
-def _within(manifest: Mapping[str, Any], keys: tuple[str, ...]) -> Any:
-    found: Any = manifest
-    for key in keys:
-        found = found.get(key) if hasattr(found, "get") else None
-    return shown_settings(found) if keys == _SET_BY_HAND and found else found
-
-
 def _shown(value: Any) -> str:
     if isinstance(value, dict):
-        return ", ".join(f"{name} = {each}" for name, each in value.items()) or "nothing"
+        return ", ".join(f"{name} = {each}" for name, each in shown_settings(value).items()) or "nothing"
     return "not recorded" if value is None else str(value)

@@ -10,17 +10,19 @@ test of two means is Welch's test of the units' means.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from scipy import stats
+from scipy import special, stats
 
 from robot_runner.analysis.arrays import Floats, Numbers
 from robot_runner.analysis.statistics.known_design import KnownDesign
 from robot_runner.analysis.statistics.proportions import Share
+from robot_runner.analysis.statistics.tested import Interval
 from robot_runner.core.events.measure import ROBOTS_OWNER
 
 if TYPE_CHECKING:
@@ -200,11 +202,41 @@ APART = Units()
 
 
 class Estimate(NamedTuple):
-    """A mean, its variance, and the degrees of freedom of the variance."""
+    """A mean, its variance, and the degrees of freedom of the variance.
+
+    Student's t around the mean gives tests, confidence intervals and the posterior of the reference prior alike.
+    """
 
     mean: float
     variance: float
     freedom: float
+
+    @property
+    def error(self) -> float:
+        """The standard error."""
+        return math.sqrt(self.variance)
+
+    def less(self, other: Estimate) -> Estimate:
+        """Return the difference to an independent mean, with Welch's degrees of freedom."""
+        variance = self.variance + other.variance
+        spread = sum(each.variance**2 / each.freedom for each in (self, other))
+        return Estimate(self.mean - other.mean, variance, variance**2 / spread if spread else 1.0)
+
+    def below(self, edge: float) -> float:
+        """Return the probability below an edge; NaN for the mean itself where there is no variance."""
+        return float(special.stdtr(self.freedom, np.divide(edge - self.mean, self.error)))
+
+    def above(self, edge: float) -> float:
+        """Return the probability above an edge."""
+        return Estimate(-self.mean, self.variance, self.freedom).below(-edge)
+
+    def quantile(self, share: float) -> float:
+        """Return the value below which the true mean lies with this probability."""
+        return float(self.mean + self.error * special.stdtrit(self.freedom, share))
+
+    def interval(self, level: float, method: str) -> Interval:
+        """Return the interval of the mean at this level."""
+        return Interval(self.quantile((1 - level) / 2), self.quantile((1 + level) / 2), level, method)
 
 
 def estimate_of(values: Floats, kinds: Kinds) -> Estimate:
@@ -281,44 +313,3 @@ def shares_of(first: Floats, second: Floats, units: Units) -> tuple[Share, Share
             freedoms.append(found.freedom)
         shares.append(Share(share, runs))
     return *shares, stats.t(min(freedoms)) if freedoms else stats.norm
-
-
-class MeansTest(NamedTuple):
-    """A t-test of a difference whose variance has some degrees of freedom, with the interface of scipy's tests."""
-
-    difference: float
-    error: float
-    freedom: float
-    alternative: str = "two-sided"
-
-    @classmethod
-    def of_means(cls, one: Estimate, other: Estimate, alternative: str = "two-sided") -> MeansTest:
-        """Test the difference of two independent means, one minus other, with Welch's degrees of freedom."""
-        variance = one.variance + other.variance
-        spread = sum(each.variance**2 / each.freedom for each in (one, other))
-        return cls(one.mean - other.mean, variance**0.5, variance**2 / spread if spread else 1.0, alternative)
-
-    @classmethod
-    def of_pairs(cls, differences: Estimate, alternative: str = "two-sided") -> MeansTest:
-        """Test whether the mean of differences is 0."""
-        return cls(differences.mean, differences.variance**0.5, differences.freedom, alternative)
-
-    @property
-    def pvalue(self) -> float:
-        """The probability of a difference at least this large if there is none."""
-        t = self.difference / self.error
-        if self.alternative == "two-sided":
-            return 2 * float(stats.t.sf(abs(t), self.freedom))
-        return float(stats.t.sf(t if self.alternative == "greater" else -t, self.freedom))
-
-    def confidence_interval(self, confidence_level: float) -> Ends:
-        """Return the confidence interval of the difference."""
-        reach = self.error * float(stats.t.isf((1 - confidence_level) / 2, self.freedom))
-        return Ends(self.difference - reach, self.difference + reach)
-
-
-class Ends(NamedTuple):
-    """The ends of an interval."""
-
-    low: float
-    high: float

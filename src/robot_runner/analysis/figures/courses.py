@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
+import pandas as pd
 
-from robot_runner.analysis.arrays import Floats
+from robot_runner.analysis.arrays import Floats, Numbers
 from robot_runner.analysis.figures.style import GREY, INK, verbatim
 
 if TYPE_CHECKING:
@@ -19,7 +20,6 @@ if TYPE_CHECKING:
 
 _MOST_BINS = 500
 _NICE = (1.0, 2.0, 2.5, 5.0, 10.0)
-_FEWEST_FOR_A_BAND = 2
 _SHADE = "#f1f4f7"  # background of a phase
 _SHADES = ("#eef1f4", "#c9d3dd", "#dde4ea", "#b7c4d1")  # boxes of phase names
 _POINTS = 5.8
@@ -34,7 +34,8 @@ class Course:
 
     Attributes:
         label: a run's id or a treatment.
-        time: the middle of each bin, s since the start of the mission.
+        width: of a bin, s.
+        bins: their numbers, without gaps; bin 0 begins at the start of the mission.
         middle: the mean in each bin.
         low, high: for one run, the smallest and largest sample in the bin; for several runs, their mean minus and plus
             one standard deviation between runs, and NaN where there are fewer than two.
@@ -42,21 +43,22 @@ class Course:
     """
 
     label: str
-    time: Floats
+    width: float
+    bins: Numbers
     middle: Floats
     low: Floats
     high: Floats
     runs: int
 
+    @property
+    def time(self) -> Floats:
+        """The middle of each bin, s since the start of the mission."""
+        return (self.bins.astype(np.float64) + 0.5) * self.width
+
 
 @dataclass(frozen=True, slots=True)
 class PhaseSpan:
-    """One phase of a mission.
-
-    Attributes:
-        name: the phase's name.
-        start, end: s since the start of the mission.
-    """
+    """One phase of a mission, from `start` to `end`, s since the start of the mission."""
 
     name: str
     start: float
@@ -95,15 +97,10 @@ class MissionCourses:
         return {treatment: courses[0] for treatment, courses in self.runs.items()}
 
 
-_NOTHING = (np.empty(0),) * 4
-
-
 def bin_width(duration: float, period: float) -> float:
     """Return a round width of bins, s, for a limited number of bins with at least one sample each.
 
-    Args:
-        duration: of the mission, s.
-        period: between samples, s.
+    The duration of the mission and the period between samples are in s, too.
 
     Example:
         >>> bin_width(95.0, 0.005)
@@ -115,42 +112,29 @@ def bin_width(duration: float, period: float) -> float:
 
 
 def course_of_run(label: str, time: Floats, values: Floats, width: float) -> Course:
-    """Return the course of one run from values at ascending times, s; NaN for a missing value."""
+    """Return the course of one run from values at times, s; NaN for a missing value."""
     there = np.isfinite(values) & np.isfinite(time)
-    time, values = time[there], values[there]
-    if not len(time):
-        return Course(label, *_NOTHING, runs=1)
-    places = np.floor(time / width).astype(np.int64)
-    first = int(places[0])
-    grid = (np.arange(first, int(places[-1]) + 1, dtype=np.float64) + 0.5) * width
-    starts = np.flatnonzero(np.diff(places, prepend=first - 1))
-    filled = places[starts] - first
-    counts = np.diff(starts, append=len(values))
-    middle, low, high = (np.full(len(grid), np.nan) for _ in range(3))
-    middle[filled] = np.add.reduceat(values, starts) / counts
-    low[filled] = np.minimum.reduceat(values, starts)
-    high[filled] = np.maximum.reduceat(values, starts)
-    return Course(label, grid, middle, low, high, runs=1)
+    binned = pd.Series(values[there]).groupby(np.floor(time[there] / width).astype(np.int64))
+    found = binned.agg(["mean", "min", "max"])
+    bins = bins_between(found.index)
+    found = found.reindex(bins)
+    middle, low, high = (found[name].to_numpy(dtype=np.float64) for name in ("mean", "min", "max"))
+    return Course(label, width, bins, middle, low, high, runs=1)
 
 
 def mean_course(label: str, courses: Sequence[Course], width: float) -> Course:
     """Return the mean and spread of several runs from courses with bins of this width."""
-    given = [course for course in courses if len(course.time)]
-    if not given:
-        return Course(label, *_NOTHING, runs=0)
-    firsts = [round(course.time[0] / width - 0.5) for course in given]
-    first = min(firsts)
-    last = max(place + len(course.time) for place, course in zip(firsts, given, strict=True))
-    table = np.full((len(given), last - first), np.nan)
-    for row, place, course in zip(table, firsts, given, strict=True):
-        row[place - first : place - first + len(course.time)] = course.middle
-    counts = np.count_nonzero(np.isfinite(table), axis=0)
-    middle: Floats = np.where(counts > 0, np.nansum(table, axis=0) / np.maximum(counts, 1), np.nan)
-    squares = np.nansum((table - middle) ** 2, axis=0)
-    spread: Floats = np.sqrt(squares / np.maximum(counts - 1, 1))
-    spread[counts < _FEWEST_FOR_A_BAND] = np.nan
-    grid = (np.arange(first, last, dtype=np.float64) + 0.5) * width
-    return Course(label, grid, middle, middle - spread, middle + spread, runs=len(given))
+    given = [pd.Series(course.middle, course.bins) for course in courses if len(course.bins)]
+    bins = bins_between(number for each in given for number in each.index)
+    table = pd.DataFrame([each.reindex(bins) for each in given], columns=bins)
+    middle, spread = (found.to_numpy(dtype=np.float64) for found in (table.mean(), table.std()))
+    return Course(label, width, bins, middle, middle - spread, middle + spread, runs=len(given))
+
+
+def bins_between(numbers: Iterable[int]) -> Numbers:
+    """Return the numbers of all bins from the first to the last of these."""
+    several = [*numbers]
+    return np.arange(min(several), max(several) + 1) if several else np.empty(0, dtype=np.intp)
 
 
 def shade_phases(axes: Axes, phases: Sequence[PhaseSpan]) -> None:

@@ -115,10 +115,8 @@ def draw_proportions(
         ends = group.interval
         reach = None if ends is None else [[group.percent - ends.low], [ends.high - group.percent]]
         drawn: dict[str, Any] = {"color": look.colour, "marker": "D", "markersize": 4.0, "capsize": 3.0}
-        if is_upright:
-            axes.errorbar([place], [group.percent], yerr=reach, **drawn)
-        else:
-            axes.errorbar([group.percent], [place], xerr=reach, **drawn)
+        drawn["yerr" if is_upright else "xerr"] = reach
+        axes.errorbar(*_turned([place], [group.percent], is_upright), **drawn)
     (axes.set_ylim if is_upright else axes.set_xlim)(-3, 103)  # so that points at 0 and 100 % are visible
     _name_groups(figure, axes, [group.label for group in groups], value_label, group_label)
     return figure

@@ -79,13 +79,7 @@ def draw_interaction(
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """The difference of one combination.
-
-    Attributes:
-        label: the combination.
-        low, high: confidence interval of the difference.
-        bound: the largest difference that does not matter, in the same unit; None where none was stated.
-    """
+    """The difference of one combination, its confidence interval, and the largest one that does not matter, if any."""
 
     label: str
     difference: float

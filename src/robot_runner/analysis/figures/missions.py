@@ -120,10 +120,7 @@ def _panels(
 
 
 def _seconds(courses: Sequence[Course]) -> float:
-    ends = [
-        float(course.time[-1] + (course.time[-1] - course.time[-2]) / 2) for course in courses if len(course.time) > 1
-    ]
-    return max(ends, default=1.0)
+    return max((float(course.bins[-1] + 1) * course.width for course in courses if len(course.bins) > 1), default=1.0)
 
 
 def _limits(courses: Sequence[Course]) -> tuple[float, float]:
@@ -138,12 +135,7 @@ def _limits(courses: Sequence[Course]) -> tuple[float, float]:
 
 @dataclass(frozen=True, slots=True)
 class Trajectory:
-    """The trajectory of one run.
-
-    Attributes:
-        label: the run's treatments.
-        x, y: positions in m, in the frame of the odometry.
-    """
+    """The positions of a run with these treatments, m, in the frame of the odometry."""
 
     label: str
     x: Floats
@@ -197,11 +189,9 @@ def _frame(ways: Sequence[Trajectory]) -> tuple[float, float, float, float]:
 
 @dataclass(frozen=True, slots=True)
 class AttemptSpan:
-    """One attempt at a run.
+    """One attempt at a run with these treatments.
 
     Attributes:
-        run_id: the run's id.
-        label: the run's treatments.
         start, end: s since the experiment began.
         measured: start and end of the measurement, where both are known.
         is_done: whether the run was done in this attempt.

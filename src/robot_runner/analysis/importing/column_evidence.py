@@ -74,7 +74,8 @@ IN_RUN_ID = re.compile(r"(.*?)[_-](?:repetition|rep|trial)[_-]?(\d+)$", re.IGNOR
 _LAST_NUMBER = re.compile(r"(?:\w*[A-Za-z_ -])?(\d+)(?:\.[A-Za-z]+)?")
 _LIKE_A_NUMBER = re.compile(r"[+-]?[0-9.,eE+-]+")
 _OF_MOMENTS = re.compile(r"start|begin|end|stop|finish|stamp|date|time|at$")
-_THIS_CENTURY = 978_307_200  # s since 1970; in ms or ns the number is larger
+#: Its beginning and its end, s since 1970; in ms or ns the numbers are larger.
+THIS_CENTURY = (978_307_200, 4_102_444_800)
 
 _WORDS = {
     RunStatus.DONE: "done true yes 1 finished completed complete ok success x",
@@ -193,10 +194,6 @@ class ColumnEvidence:
             return False
         return self.is_empty(name) or self.table.is_boolean(name) or self.is_numeric(name)
 
-    def has_answers(self, name: str) -> bool:
-        """Return whether a column has only truth values, or only yes and no."""
-        return self.table.is_boolean(name) or self.table.says_yes_or_no(name)
-
     def without_outcomes(self, name: str, others: Sequence[str]) -> list[str]:
         """Return columns without answers and texts that come after a column: they, like itself, may be outcomes."""
         behind = self.table.headings[self.table.headings.index(name) :]
@@ -212,7 +209,7 @@ class ColumnEvidence:
         if not _OF_MOMENTS.search(name.casefold()):
             return False
         numbers = [number for value in self.values(name) if (number := self.table.number(value)) is not None]
-        return bool(numbers) and min(numbers) >= _THIS_CENTURY
+        return bool(numbers) and min(numbers) >= THIS_CENTURY[0]
 
     def is_even(self, name: str) -> bool:
         """Return whether all values occur about equally often."""

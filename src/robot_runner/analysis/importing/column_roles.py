@@ -22,9 +22,8 @@ _RUN_ID = ("runid",)
 _NUMBERING = ("id", "run", "runnumber", "runname", "runno", "nr", "no", "number", "index", "entryid", "experimentid")
 _STATUS = ("done", "status", "progress", "state")
 #: Headings of repetitions, the surest first; the values have to count, too.
-_REPETITION = re.compile(
-    r"(repetition|rep|repeat|replicate|replication|trial|iteration|iter|round|run|take|experiment)(id|no|nr|num|number|index|idx)?"
-)
+_STEMS = "repetition|rep|repeat|replicate|replication|trial|iteration|iter|round|run|take|experiment"
+_REPETITION = re.compile(rf"({_STEMS})(id|no|nr|num|number|index|idx)?")
 _PLURALS = {"repetitions": "repetition", "reps": "rep", "repeats": "repeat", "trials": "trial"}
 #: Earlier tools write columns of this name, so that the name alone decides.
 _CERTAIN = "repetition"
@@ -238,7 +237,7 @@ class _Guessing:
     def _repetition(self) -> str | None:
         if self._said.repetition:
             return self._take(self._said.repetition, Role.REPETITION, Confidence.SURE, "as you said")
-        stems = list(_REPETITION.pattern[1 : _REPETITION.pattern.index(")")].split("|"))
+        stems = _STEMS.split("|")
         found: list[tuple[int, int, str]] = []
         for place, name in enumerate(self._left()):
             match = _REPETITION.fullmatch(_PLURALS.get(_folded(name), _folded(name)))
@@ -279,7 +278,7 @@ class _Guessing:
         begun = min((place for place, name in enumerate(left) if evidence.is_surely_measured(name)), default=len(left))
         self._late = set(left[begun:])
         # Truth values after a measure may be outcomes, even if they are equally frequent.
-        worded = [name for name in left if name not in self._late or not evidence.has_answers(name)]
+        worded = [name for name in left if name not in self._late or not self._table.has_answers(name)]
         texts = [name for name in worded if evidence.is_treatment_text(name)]
         texts = [name for name in worded if name in texts or evidence.is_part_of(name, texts)]
         factors = [*self._named(Role.FACTOR), *texts]

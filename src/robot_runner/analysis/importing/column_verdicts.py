@@ -9,6 +9,7 @@ from itertools import pairwise
 
 from robot_runner.analysis.importing.column_evidence import (
     NUMBERING,
+    THIS_CENTURY,
     TREATMENTS,
     ColumnEvidence,
     Confidence,
@@ -23,7 +24,6 @@ _MOMENT = re.compile(
 )
 #: Units in which moments since 1970 are counted in so large numbers that few measures reach them, in seconds.
 _EPOCHS = {"ms": 1e3, "us": 1e6, "ns": 1e9}
-_THIS_CENTURY = (978_307_200, 4_102_444_800)  # s since 1970
 _FEWEST_MOMENTS = 5
 #: Planned numbers are few: more than these are rarely treatments, however equal their frequencies.
 _MANY_TREATMENTS = 12
@@ -102,7 +102,7 @@ class ColumnVerdicts(ColumnEvidence):
         found = [number for number in numbers if number is not None]
         if len(found) < _FEWEST_MOMENTS or not all(first < second for first, second in pairwise(found)):
             return None
-        earliest, latest = _THIS_CENTURY
+        earliest, latest = THIS_CENTURY
         for unit, parts in _EPOCHS.items():
             if earliest * parts <= found[0] <= found[-1] <= latest * parts:
                 first = datetime.fromtimestamp(found[0] / parts, UTC)
@@ -132,7 +132,7 @@ class ColumnVerdicts(ColumnEvidence):
             yield Role.MEASURE, Confidence.LIKELY, "it is empty so far"
         if self.levels(name) == 1 < self.count:
             yield self._constant(name, is_first=is_first)
-        if self.has_answers(name):
+        if self.table.has_answers(name):
             yield self._of_truth_values(name, others, repetition, is_first=is_first)
         if self.is_numeric(name):
             yield from self._numbers(name, others, repetition, is_first=is_first)

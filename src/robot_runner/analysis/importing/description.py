@@ -91,13 +91,8 @@ class SamplesDescription:
 
     def with_options(self, said: SamplesDescription) -> SamplesDescription:
         """Return this description, overridden by the options of the command line."""
-        return SamplesDescription(
-            self.file,
-            name=said.name or self.name,
-            time=said.time or self.time,
-            time_unit=said.time_unit or self.time_unit,
-            units={**self.units, **said.units},
-        )
+        changed = {key: value for key in ("name", "time", "time_unit") if (value := getattr(said, key))}
+        return replace(self, **changed, units={**self.units, **said.units})
 
 
 @dataclass(frozen=True, slots=True)

@@ -35,7 +35,6 @@ class ForeignRun:
     Attributes:
         run_id: its id in the experiment; the source's, without characters that cannot be in a folder's name.
         source_id: its id in the source.
-        status: its status.
         treatments: the texts of the factors' cells.
         repetition: from 1; None where there are none.
         measures: the values; None for a missing one.
@@ -58,13 +57,7 @@ def read_runs(
 ) -> list[ForeignRun]:
     """Return the runs of a table, and add anomalies to the notes.
 
-    Args:
-        root: the folder of the table.
-        table: the run table.
-        roles: the roles of its columns.
-        pattern: the path of a run's files below the folder, with `{run_id}` in it; None for `{run_id}` or
-            `runs/{run_id}`.
-        notes: receives the anomalies.
+    `pattern` is the path of a run's files below `root`, with `{run_id}` in it; None for `{run_id}` or `runs/{run_id}`.
 
     Raises:
         AnalysisError: a run has no id; a status or a repetition cannot be read.

@@ -19,6 +19,7 @@ from robot_runner.analysis.importing.description import SamplesDescription
 from robot_runner.analysis.importing.foreign_table import dialect_of
 from robot_runner.analysis.importing.sample_times import (
     TimeKind,
+    TraceSpan,
     is_number,
     nanoseconds_of,
     time_column,
@@ -54,7 +55,6 @@ class ForeignSamples:
         columns: the value columns.
         numeric: the numeric ones of these.
         paths: the file of each run.
-        guesses: the guesses that were made.
     """
 
     file: str
@@ -87,20 +87,12 @@ class RunSamples:
     Attributes:
         nanoseconds: the time of each: since 1970 for timestamps, since midnight for times of day, otherwise as counted.
         values: the columns by their original headings, numbers in SI.
-        was_sorted: whether the file was in order already.
-        left_out: the number of rows with more or fewer cells than the heading.
-        without_number: the number of cells that are not numbers, in columns that are numeric in the first run.
-        restarted: the counters, in joules, that wrapped around or were reset between two samples.
-        impossible: the number of powers that are missing here, as they come of a counter that wrapped around.
+        span: their extent, and what is odd about the file.
     """
 
     nanoseconds: NDArray[np.int64]
     values: Mapping[str, Any]
-    was_sorted: bool
-    left_out: int = 0
-    without_number: int = 0
-    restarted: tuple[str, ...] = ()
-    impossible: int = 0
+    span: TraceSpan
 
     @property
     def times(self) -> Floats:
@@ -250,7 +242,6 @@ def read_run_samples(samples: ForeignSamples, path: Path) -> RunSamples:
         raise AnalysisError(problem, where=str(path), fix=fix)
     times, valid = nanoseconds_of(table.column(samples.time), samples.time_unit, str(path))
     order = np.flatnonzero(valid)[np.argsort(times[valid], kind="stable")]
-    was_sorted = bool(len(order) == len(times) and np.all(np.diff(times) >= 0))
     without_number = 0
     for place, name in enumerate(table.column_names):
         column = table.column(place)
@@ -266,7 +257,21 @@ def read_run_samples(samples: ForeignSamples, path: Path) -> RunSamples:
         if (wrapped := _far_below_zero(values[name])).any():
             values[name] = np.where(wrapped, np.nan, values[name])
             impossible += int(np.count_nonzero(wrapped))
-    return RunSamples(times[order], values, was_sorted, len(left_out), without_number, restarted, impossible)
+    kept = times[order]
+    span = TraceSpan(
+        samples.file,
+        first=int(kept[0]) if len(kept) else 0,
+        last=int(kept[-1]) if len(kept) else 0,
+        is_moment=samples.time_kind is TimeKind.MOMENT,
+        count=len(kept),
+        was_sorted=bool(len(order) == len(times) and np.all(np.diff(times) >= 0)),
+        left_out=len(left_out),
+        without_number=without_number,
+        moments=len(np.unique(kept)),
+        restarted=restarted,
+        impossible=impossible,
+    )
+    return RunSamples(kept, values, span)
 
 
 _POWER = re.compile(r"power|watt", re.IGNORECASE)

@@ -1,4 +1,4 @@
-"""Read a CSV file of another tool or a spreadsheet as text."""
+"""Read a CSV file of another tool or a spreadsheet, or a run table of Robot Runner without its schema, as text."""
 
 from __future__ import annotations
 
@@ -6,16 +6,18 @@ import codecs
 import csv
 import re
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import compress
 from pathlib import Path
 from typing import BinaryIO
 
 from robot_runner.analysis.importing.units import MISSING, PlainCells, Unit, plain_cells, split_heading
+from robot_runner.core.design.columns import BATCH, EXCLUDED, RUN_ID, STAMP_COLUMNS, STATUS, WARM_UP
 from robot_runner.core.errors import AnalysisError
 from robot_runner.core.storage.cells import number_of
 from robot_runner.core.storage.system_refusals import storage_error, storage_errors
-from robot_runner.core.words import counted
+from robot_runner.core.words import counted, listed
 
 _DELIMITERS = {",": "", ";": "semicolons", "\t": "tabs", "|": "bars"}
 #: The line by which Excel says what stands between the cells; it has none itself.
@@ -107,6 +109,10 @@ class ForeignTable:
         """Return whether the column has only words of `ANSWERS`, in any case."""
         return self._says_only(heading, ANSWERS)
 
+    def has_answers(self, heading: str) -> bool:
+        """Return whether the column has only truth values, or only yes and no."""
+        return self.is_boolean(heading) or self.says_yes_or_no(heading)
+
     def _says_only(self, heading: str, words: Collection[str]) -> bool:
         return heading in self._distinct and all(cell.casefold() in words for cell in self._distinct[heading])
 
@@ -142,9 +148,7 @@ class ForeignTable:
 def read_foreign_table(path: Path, decimal: str | None = None) -> ForeignTable:
     """Read a table: with or without a byte-order mark, with commas, semicolons or tabs, with blank lines anywhere.
 
-    Args:
-        path: the file.
-        decimal: the decimal sign of its numbers; None to guess it.
+    The decimal sign of its numbers is guessed where it is None.
 
     Raises:
         StorageError: the file cannot be read.
@@ -292,3 +296,46 @@ def free_heading(heading: str, taken: Collection[str]) -> str:
     while heading in taken:
         heading += "_"
     return heading
+
+
+# A run table that Robot Runner wrote, without its schema and journal.
+
+#: The headings of runs and their status, in tables of ours and in those that go on from an earlier tool's.
+_RUNS = ((RUN_ID, STATUS), ("__run_id", "__done"))
+_WARMED_UP = "warm-up"
+_NOT_SO = MISSING | {"false"}
+_BATCHES = f"runs of several batches are compared as one: what changed between them may pass for an effect ({BATCH})"
+
+
+def without_unanalysed(table: ForeignTable, named: Collection[str | None]) -> ForeignTable:
+    """Return a table without the warm-up and the excluded runs of Robot Runner; notes tell which, and why.
+
+    The columns that tell of them are left out as well, and so are the batch and those of events that no run had.
+    Another table is returned as it is, and so are columns that the user has `named`, and the runs of which these tell.
+
+    Example:
+        >>> without_unanalysed(table, ()).notes  # doctest: +SKIP
+        ('2 runs left out that Robot Runner does not analyse: w_1 (warm-up), r_2 (the robot fell)',)
+    """
+    ids = next((name for name, status in _RUNS if {name, status} <= {*table.headings}), None)
+    if ids is None or not table.rows:
+        return table
+    runs, notes = table.column(ids), list(table.notes)
+    why = dict.fromkeys(runs, "")
+    headings = [name for name in table.headings if name not in named]
+    told_by = [name for name in (WARM_UP, EXCLUDED) if name in headings and table.is_boolean(name) == (name == WARM_UP)]
+    for name in told_by:
+        for run, cell in zip(runs, table.column(name), strict=True):
+            if cell.casefold() not in _NOT_SO:
+                why[run] = why[run] or (_WARMED_UP if name == WARM_UP else cell)
+    left_out = [f"{run} ({reason})" for run, reason in why.items() if reason]
+    if left_out:
+        notes.append(f"{counted(len(left_out), 'run')} left out that Robot Runner does not analyse: {listed(left_out)}")
+    batch = [BATCH] if BATCH in headings else []
+    notes += [_BATCHES] * len(batch)
+    empty = [name for name in STAMP_COLUMNS if name in headings and not any(table.column(name))]
+    has_column = [name not in (*empty, *told_by, *batch) for name in table.headings]
+    is_kept = [not why[run] for run in runs]
+    rows = tuple(tuple(compress(row, has_column)) for row in compress(table.rows, is_kept))
+    kept, lines = tuple(compress(table.headings, has_column)), tuple(compress(table.lines, is_kept))
+    return replace(table, headings=kept, rows=rows, lines=lines, notes=tuple(notes))

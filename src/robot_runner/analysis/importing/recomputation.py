@@ -30,12 +30,14 @@ class Difference:
         run_id: the run.
         measure: its name in the table.
         table, recomputed: the two values.
+        unit: their SI unit; empty where it is not known.
     """
 
     run_id: str
     measure: str
     table: float
     recomputed: float
+    unit: str = ""
 
     @property
     def absolute(self) -> float:
@@ -70,7 +72,7 @@ def recompute(recipe: Recipe, run: RunSamples) -> float | None:
         problem = f"column {recipe.column!r} holds no numbers"
         raise AnalysisError(problem, where=f"recompute {recipe.measure} = {recipe.words}", fix=fix) from error
     valid = np.isfinite(values)
-    if recipe.how is Aggregation.CHANGE and recipe.column in run.restarted:
+    if recipe.how is Aggregation.CHANGE and recipe.column in run.span.restarted:
         return _bridged(times[valid], values[valid])
     return _aggregated(recipe.how, times[valid], values[valid])
 

@@ -182,6 +182,7 @@ _END = re.compile(r"(^|[_ ])(stop|stopped|end|ended|finish|finished)($|[_ ])", r
 
 #: A meter starts a little before the mission and stops a little after it: 5 % and a second are normal.
 _TOLERATED_SHARE, _TOLERATED_S = 0.05, 1.0
+_CUT_OFF = "ends before the run does: cut off?"
 _BRIDGED = "its change bridges that step, and is missing where the step is long"
 #: As few samples to a time may be chance; where so many times are known, one more or less is half a percent.
 _SAMPLES_TO_A_TIME, _MOST_MOMENTS = 3, 200
@@ -196,10 +197,11 @@ class TraceSpan:
         first, last: the times of the first and last sample in ns, since 1970 for timestamps; 0 without samples.
         is_moment: whether they count from 1970.
         count: the number of samples.
+        was_sorted: whether the file was in the order of its times, and lacked none.
         left_out: the number of rows with more or fewer cells than the heading, such as in a file that was cut off.
-        without_number: the number of cells in numeric columns that are not numbers.
+        without_number: the number of cells that are not numbers, in columns that are numeric in the first run.
         moments: the number of different times.
-        restarted: the counters, in joules, that wrapped around or were reset.
+        restarted: the counters, in joules, that wrapped around or were reset between two samples.
         impossible: the number of powers that are missing here, as they come of a counter that wrapped around.
     """
 
@@ -208,6 +210,7 @@ class TraceSpan:
     last: int
     is_moment: bool
     count: int
+    was_sorted: bool
     left_out: int
     without_number: int
     moments: int
@@ -269,24 +272,13 @@ def _odd_samples(file: str, found: Sequence[tuple[ForeignRun, TraceSpan]]) -> It
 def _odd_extents(
     file: str, found: Sequence[tuple[ForeignRun, TraceSpan]], units: Mapping[str, Unit | None]
 ) -> Iterator[str]:
-    late: list[tuple[float, str]] = []
-    early: list[tuple[float, str]] = []
-    short: list[tuple[float, str]] = []
-    for run, span in found:
-        if span.count > 1:
-            before, after, lacking = _excess(run, span, units)
-            early += [(before, run.run_id)] if before > _TOLERATED_S else []
-            late += [(after, run.run_id)] if after > _TOLERATED_S else []
-            short += [(lacking, run.run_id)] if lacking > _TOLERATED_S else []
-    for runs_found, words in (
-        (early, "begins before the run"),
-        (late, "outlasts the run"),
+    excesses = [(run.run_id, _excess(run, span, units)) for run, span in found if span.count > 1]
+    for place, words in enumerate(("begins before the run", "outlasts the run", _CUT_OFF)):
+        odd = {run_id: excess[place] for run_id, excess in excesses if excess[place] > _TOLERATED_S}
         # A log of events ends with the last event, and so before the end of most runs.
-        (short if 2 * len(short) < len(found) else [], "ends before the run does: cut off?"),
-    ):
-        if runs_found:
-            most, which = max(runs_found)
-            yield f"{file} {words} in {_of([name for _, name in runs_found], found)}, by up to {most:.3g} s ({which})"
+        if odd and (words != _CUT_OFF or 2 * len(odd) < len(found)):
+            most, which = max((seconds, run_id) for run_id, seconds in odd.items())
+            yield f"{file} {words} in {_of([*odd], found)}, by up to {most:.3g} s ({which})"
 
 
 def _of(names: Sequence[str], found: Sequence[object]) -> str:

@@ -16,8 +16,7 @@ from robot_runner.analysis.importing.column_roles import ColumnRoles, roles_of
 from robot_runner.analysis.importing.description import ImportDescription, Recipe, SamplesDescription
 from robot_runner.analysis.importing.foreign_runs import ForeignRun, read_runs
 from robot_runner.analysis.importing.foreign_samples import ForeignSamples, understand_samples
-from robot_runner.analysis.importing.foreign_table import ForeignTable, read_foreign_table
-from robot_runner.analysis.importing.own_table import without_unanalysed
+from robot_runner.analysis.importing.foreign_table import ForeignTable, read_foreign_table, without_unanalysed
 from robot_runner.analysis.importing.recomputation import check_recipes, guess_recipes
 from robot_runner.analysis.importing.units import Unit, unit_of
 from robot_runner.core.design.columns import REPETITION, is_fit_for_heading, name_findings
@@ -45,18 +44,11 @@ class Understanding:
     """The understanding of a results folder.
 
     Attributes:
-        root: the folder.
-        name: the experiment's name.
-        table: the run table, as text.
-        roles: the roles of its columns.
         headings: the new name of each factor and measure: the old one, except where this is taken.
         units: the unit of each measure of the table, where it is known.
-        runs: the runs, from the rows.
-        samples: the raw files.
         recipes: how measures are computed from samples.
         origin: `measured`, `simulated`, `estimated`, or None where the user did not say.
         notes: anomalies and guesses.
-        said: the user's description.
     """
 
     root: Path
@@ -110,7 +102,7 @@ class Understanding:
         table, said = self.table, self.said
         measures = [place for place, name in enumerate(table.headings) if name in self.roles.measures]
         units = [table.rows[0][place] for place in measures if unit_of(table.rows[0][place].strip("[]()"))]
-        texts = [table.rows[0][place] for place in measures if not self._says_truth(table.headings[place])]
+        texts = [table.rows[0][place] for place in measures if not table.has_answers(table.headings[place])]
         if not any(table.number(cell) is not None for cell in table.rows[0]):
             if units:
                 problem = f"line {table.lines[0]} has units rather than values ({enumerated(units)})"
@@ -130,9 +122,6 @@ class Understanding:
             option = "--run-id" if name == self.roles.run_id else "--factor"
             fix = f"Remove the line; if it is a run, say {option} {shlex.quote(name)}."
             yield Finding.error(where, problem, fix)
-
-    def _says_truth(self, name: str) -> bool:
-        return self.table.is_boolean(name) or self.table.says_yes_or_no(name)
 
     @property
     def design_words(self) -> str:

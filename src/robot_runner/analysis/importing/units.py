@@ -17,31 +17,11 @@ TIME_UNITS = ("s", "ms", "us", "ns", "min", "h")
 #: The units that are recognised in the last word of a heading; other words only look like units (`mem_avg`, `run_d`,
 #: `cpu_min`). In brackets, or from the user, any unit of pint is accepted.
 _IN_NAMES = (
-    *(
-        "s",
-        "ms",
-        "us",
-        "ns",
-        "h",
-        "W",
-        "kW",
-        "mW",
-        "uW",
-        "J",
-        "kJ",
-        "MJ",
-        "mJ",
-        "uJ",
-        "Wh",
-        "mWh",
-        "kWh",
-        "V",
-        "mV",
-        "uV",
-    ),
-    *("A", "mA", "uA", "mAh", "Hz", "kHz", "MHz", "GHz", "B", "kB", "KB", "MB", "GB", "KiB", "MiB", "GiB", "K", "degC"),
-    *("m", "cm", "mm", "km", "rad", "deg", "m/s", "rad/s", "N", "Pa", "kg", "g", "rpm", "rps", "fps", "%", "1"),
-)
+    "s", "ms", "us", "ns", "h", "W", "kW", "mW", "uW", "J", "kJ", "MJ", "mJ", "uJ", "Wh", "mWh", "kWh", "V", "mV",
+    "uV", "A", "mA", "uA", "mAh", "Hz", "kHz", "MHz", "GHz", "B", "kB", "KB", "MB", "GB", "KiB", "MiB", "GiB", "K",
+    "degC", "m", "cm", "mm", "km", "rad", "deg", "m/s", "rad/s", "N", "Pa", "kg", "g", "rpm", "rps", "fps", "%",
+    "1",
+)  # fmt: skip
 #: The unit for each kind of quantity: the SI unit; percentages and bytes are not converted.
 _SI = ("s", "W", "J", "V", "A", "Hz", "B", "B/s", "K", "m", "rad", "rad/s", "N", "Pa", "kg", "C", "ohm", "%", "1")
 #: Products with a name of their own. N*m and J/m are not replaced: one may be a torque, the other is not a force.

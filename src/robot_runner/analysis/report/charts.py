@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 
+from robot_runner.analysis.figures.courses import bins_between
 from robot_runner.analysis.figures.style import Look, looks_by
 from robot_runner.analysis.report.blocks import Chart
 from robot_runner.analysis.wording import MISSING, with_unit
@@ -33,23 +34,16 @@ def course_chart(name: str, mission: MissionCourses) -> Chart:
     # Significant digits of the differences, not of the values: 1,013.25 and 1,013.31 hPa share four digits.
     digits = _DIGITS - 1 - math.floor(math.log10(spread)) if spread else None
 
-    def place(course: Course) -> int:
-        return round(float(course.time[0]) / mission.width - 0.5)
-
-    there = [mean for mean in mission.means if len(mean.time)]
-    first = min(map(place, there), default=0)
-    count = max((place(mean) + len(mean.time) for mean in there), default=0) - first
+    bins = bins_between(number for mean in mission.means for number in mean.bins)
 
     def values(course: Course, edge: str) -> list[float | None]:
-        """Return a course's `middle`, `low` or `high` at each time of the chart; None where it has none."""
-        before = [None] * (place(course) - first if len(course.time) else 0)
-        cells = [*before, *_plain(getattr(course, edge), digits)]
-        return [*cells, *[None] * (count - len(cells))]
+        """Return a course's `middle`, `low` or `high` in each bin of the chart; None where it has none."""
+        return _plain(pd.Series(getattr(course, edge), course.bins).reindex(bins), digits)
 
     data = {
         "label": mission.label,
         "unit": mission.unit,
-        "time": [round((first + number + 0.5) * mission.width, 9) for number in range(count)],
+        "time": [round((float(number) + 0.5) * mission.width, 9) for number in bins],
         "groups": [
             {
                 "name": mean.label,

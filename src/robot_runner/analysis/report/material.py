@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -10,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 from robot_runner.analysis.planning.registered import Registered, registered
 from robot_runner.analysis.report.blocks import Badge, Tone
-from robot_runner.analysis.sample_files import noted
+from robot_runner.analysis.run_frame import fact_of
+from robot_runner.analysis.sample_files import noted_number, notes_of
 from robot_runner.analysis.statistics.disclosed import runs_without_value
 from robot_runner.analysis.statistics.execution_order import execution_order
 from robot_runner.analysis.statistics.known_precision import KnownPrecision, known_precisions
@@ -44,10 +44,8 @@ class RunQuality:
     Attributes:
         expected, got: the expected and the actual number of samples.
         coverage: share of the measured window that has samples, percent.
-        lost, corrupt, duplicates: numbers of samples.
         largest_gap: longest time without a sample, s.
         saturated: the number of samples at the end of the sensor's range.
-        is_simulated: whether the sensor is simulated.
     """
 
     run_id: str
@@ -66,13 +64,6 @@ class RunQuality:
     def is_complete(self) -> bool:
         """Whether nothing is known to be missing or damaged."""
         return not (self.lost or self.corrupt or (self.coverage is not None and self.coverage < 99.0))  # noqa: PLR2004 - the edges of a window
-
-
-def read_qualities(folder: ExperimentFolder, run_ids: Iterable[str]) -> tuple[RunQuality, ...]:
-    """Return the qualities of the samples of these runs; other files are ignored."""
-    paths = ((run_id, path) for run_id in run_ids for path in sorted(folder.run(run_id).glob(f"*/{_FILE}")))
-    notes = ((run_id, path.parent.name, noted(path, folder.root)) for run_id, path in paths)
-    return tuple(_quality(run_id, plugin, facts) for run_id, plugin, facts in notes if isinstance(facts, dict))
 
 
 def by_plugin(qualities: Iterable[RunQuality]) -> dict[str, list[RunQuality]]:
@@ -98,12 +89,6 @@ def _quality(run_id: str, plugin: str, facts: Mapping[str, Any]) -> RunQuality:
     )
 
 
-def noted_number(value: object) -> float | None:
-    """Return a plugin's note as a number; None where it is not a finite number."""
-    is_number = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
-    return float(value) if is_number else None  # type: ignore[arg-type]  # mypy does not follow the line above
-
-
 #: The label of all runs, where there are no factors or only one combination.
 ALL_RUNS = "all runs"
 #: Figures of more measures take minutes to draw, and nobody looks at hundreds.
@@ -121,12 +106,7 @@ _EXPLANATIONS = {
 
 @dataclass(frozen=True)
 class Material:
-    """Results and statistics of one experiment; other values are derived when they are first used.
-
-    Attributes:
-        results: the results of the experiment.
-        statistics: the statistics of the runs that are done.
-    """
+    """Results of an experiment and statistics of its runs that are done; other values are derived at first use."""
 
     results: Results
     statistics: ExperimentStatistics
@@ -234,7 +214,8 @@ class Material:
     @cached_property
     def qualities(self) -> tuple[RunQuality, ...]:
         """The plugins' notes on their raw samples."""
-        return read_qualities(ExperimentFolder(self.results.folder), list(self.runs[RUN_ID]))
+        notes = notes_of(ExperimentFolder(self.results.folder), self.runs[RUN_ID], f"*/{_FILE}")
+        return tuple(_quality(run, path.parent.name, facts) for run, path, facts in notes if isinstance(facts, dict))
 
     @cached_property
     def doubted(self) -> pd.DataFrame:
@@ -267,12 +248,7 @@ class Material:
 
     def manifest(self, *keys: str, default: Any = None) -> Any:
         """Return the manifest's entry at these nested keys."""
-        found: Any = self.results.manifest
-        for key in keys:
-            if not isinstance(found, Mapping) or key not in found:
-                return default
-            found = found[key]
-        return default if found is None else found
+        return fact_of(self.results.manifest, *keys, default=default)
 
 
 def correction_in_words(correction: Correction) -> str:

@@ -20,7 +20,7 @@ from robot_runner.analysis.report.blocks import Beside, Block, FigureBlock, Gall
 from robot_runner.analysis.report.charts import course_chart
 from robot_runner.analysis.report.material import Material, origin_badges, origin_in_words
 from robot_runner.analysis.report.summary_section import means_table
-from robot_runner.analysis.sample_files import SampleFile, noted, split_unit
+from robot_runner.analysis.sample_files import SampleFile, notes_of, split_unit
 from robot_runner.analysis.wording import listed
 from robot_runner.core.design.columns import RUN_ID
 from robot_runner.core.errors import StorageError
@@ -271,11 +271,9 @@ def stills_part(material: Material) -> Iterator[Part]:
     """Yield a part with a figure for each camera that has stills of runs that are done."""
     folder = ExperimentFolder(material.results.folder)
     cameras: dict[str, Stills] = {}
-    for run_id in map(str, material.done[RUN_ID]):
-        for path in sorted(folder.run(run_id).glob(f"*/{_STILLS}")):
-            stills = _stills(path, folder.root)
-            if stills:
-                cameras.setdefault(path.parent.name, {})[f"{run_id}, {material.labels[run_id]}"] = stills
+    for run_id, path, notes in notes_of(folder, map(str, material.done[RUN_ID]), f"*/{_STILLS}"):
+        if stills := _stills(notes, path, folder.root):
+            cameras.setdefault(path.parent.name, {})[f"{run_id}, {material.labels[run_id]}"] = stills
     if cameras:
         figures = tuple(_stills_figure(camera, runs) for camera, runs in cameras.items())
         beside = Beside((Gallery(figures), *means_table(material, "means beside stills")))
@@ -295,11 +293,10 @@ def _stills_figure(camera: str, runs: Stills) -> FigureBlock:
     )
 
 
-def _stills(path: Path, root: Path) -> tuple[tuple[str, Path], ...]:
+def _stills(notes: object, path: Path, root: Path) -> tuple[tuple[str, Path], ...]:
     """Return the caption and the file of each still; other entries, and paths outside the folder, are ignored."""
-    listed = noted(path, root)
-    notes = [note for note in listed if isinstance(note, dict)] if isinstance(listed, list) else []
-    found = ((str(note.get("label")), path.parent / str(note.get("file"))) for note in notes)
+    stills = [note for note in notes if isinstance(note, dict)] if isinstance(notes, list) else []
+    found = ((str(note.get("label")), path.parent / str(note.get("file"))) for note in stills)
     return tuple((label, file) for label, file in found if file.parent == path.parent and _is_file(file, root))[
         :_MOST_STILLS
     ]

@@ -230,7 +230,7 @@ def attempt_spans(material: Material) -> tuple[AttemptSpan, ...]:
 
 
 def _clock_set(material: Material, name: str) -> Callable[[Any], float]:
-    """Return what tells of an attempt by how many seconds the clock was set, as the attempts' attributes have it."""
+    """Return a function of an attempt's row: by how many seconds the clock was set, of the attribute of this name."""
     told: Mapping[str, Mapping[int, float]] = material.results.attempts.attrs.get(name, {})
     return lambda row: told.get(row.run_id, {}).get(row.attempt, 0.0)
 
@@ -268,17 +268,12 @@ class FailedPair(NamedTuple):
 def failed_pairs(runs: pd.DataFrame, factors: tuple[str, ...]) -> list[FailedPair]:
     """Return the pairs of treatments with failed runs, those with the largest share of failures first."""
     texts = runs[list(factors)].astype("str")
-    has_failed = (runs[STATUS].astype("str") == RunStatus.FAILED.value).to_numpy()
+    has_failed = runs[STATUS].astype("str") == RunStatus.FAILED.value
     found = []
     for one, other in combinations(factors, 2):
-        held: dict[tuple[str, str], list[bool]] = {}
-        for pair, is_failed in zip(zip(texts[one], texts[other], strict=True), has_failed, strict=True):
-            held.setdefault(pair, []).append(bool(is_failed))
-        found += [
-            FailedPair(f"{one} = {a}, {other} = {b}", len(each), sum(each))
-            for (a, b), each in held.items()
-            if any(each)
-        ]
+        for (a, b), failures in has_failed.groupby([texts[one], texts[other]], sort=False):
+            if failures.any():
+                found.append(FailedPair(f"{one} = {a}, {other} = {b}", len(failures), int(failures.sum())))
     return sorted(found, key=lambda each: (-each.failed / each.runs, -each.failed, each.pair))
 
 

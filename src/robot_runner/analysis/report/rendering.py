@@ -99,10 +99,7 @@ def files_of_tables(document: Document, on_step: OnStep = unheard) -> dict[str, 
 def html_of(document: Document, drawings: Mapping[str, bytes], tables: Mapping[str, TableFiles]) -> str:
     """Return a document as one HTML file that fetches nothing: style, scripts, figures and data are in it.
 
-    Args:
-        document: the document.
-        drawings: its figures as SVG, by name.
-        tables: its tables as files, for the page's download links.
+    Its figures are drawn as SVG, and its tables made as files for download, both by name.
     """
     anchors = SafeNames()
     for section in document.sections:  # links may rely on the names of sections, so reserve them first
@@ -204,11 +201,7 @@ def latex_of(table: Table, labels: Callable[[str], str]) -> str:
     """Return a table as LaTeX, for `booktabs` and `graphicx`, with numbers as readers see them.
 
     A table that is too wide for a column of a paper spans the page. If it is too wide for the page, long cells are
-    broken into lines, and a table that is still too wide is scaled down.
-
-    Args:
-        table: the table.
-        labels: returns its label for references.
+    broken into lines, and a table that is still too wide is scaled down. `labels` returns its label for references.
     """
     table = table.for_readers
     rows = [[column.name for column in table.columns], *([cell.text for cell in row] for row in table.rows)]

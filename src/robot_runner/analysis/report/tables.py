@@ -19,12 +19,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Field:
-    """A column of a table to build.
-
-    Attributes:
-        column: its heading, alignment and place.
-        cell: makes the cell of an item.
-    """
+    """A column of a table to build; `cell` makes the cell of an item."""
 
     column: Column
     cell: Callable[[Any], Cell]
@@ -33,14 +28,7 @@ class Field:
 def build_table(
     name: str, caption: str, items: Iterable[Any], fields: Iterable[Field | tuple[Field, ...]], note: str = ""
 ) -> Table:
-    """Return a table with a row for each item.
-
-    Args:
-        name: the name of its files, unique in a document.
-        caption: one sentence.
-        items: of any type that the fields can read.
-        fields: one for each column; an interval has several.
-        note: small print beneath the table.
+    """Return a table with a row for each item, of any type that the fields can read; an interval has several fields.
 
     Example:
         >>> table = build_table("t", "Lengths.", ["a", "bcd"], [text("Word", str), number("Letters", len)])

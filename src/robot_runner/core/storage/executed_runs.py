@@ -67,6 +67,11 @@ def unrecorded_runs(done: Iterable[str], ended: Container[str], manifest: Mappin
     return [run_id for run_id in done if run_id not in ended and run_id not in known]
 
 
+def done_before(manifest: Mapping[str, Any], executed: Iterable[str]) -> set[str]:
+    """Return the runs that a table had as done before the first execution, less those that were executed since."""
+    return set((manifest.get("design") or {}).get(DONE_BEFORE) or ()).difference(executed)
+
+
 def unrecorded_in_words(runs: Sequence[str], journal: Path) -> str:
     """Return a problem: the journal lacks the end of runs that are done, and what is lost with it."""
     is_are, them, their = ("is", "it", "its") if len(runs) == 1 else ("are", "them", "their")
@@ -247,6 +252,13 @@ def edited_findings(journal: Path, table: Path, rows: RunTableRows) -> Iterator[
         yield Finding.warning(
             str(table), f"cells of runs that were executed were changed by hand: {listed(found, _MOST_NAMED)}", _SETTLE
         )
+
+
+def changes_in_words(manifest: Mapping[str, Any], shown: int = _MOST_NAMED) -> str:
+    """Return the cells of runs that were changed by hand and accepted, with old and new values; empty without any."""
+    changes = (each for each in manifest.get("table_deviations") or () if each["run"])
+    cells = [f"{each['column']} of {each['run']} from {each['was']!r} to {each['is']!r}" for each in changes]
+    return f"cells were changed by hand in run_table.csv: {listed(cells, shown)}" if cells else ""
 
 
 def _edited(rows: RunTableRows, place: int, known: dict[str, dict[str, str]]) -> Iterator[str]:
