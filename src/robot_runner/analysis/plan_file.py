@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from robot_runner.analysis.declared_design import DeclaredDesign
-from robot_runner.core.design.analysis_plan import AnalysisPlan
+from robot_runner.core.design.analysis_plan import AnalysisPlan, Estimand
 from robot_runner.core.design.outliers import Doubtful
 from robot_runner.core.errors import AnalysisError
 from robot_runner.core.storage.system_refusals import storage_error
@@ -59,7 +59,9 @@ def read_plan(path: Path) -> PlanFile:
 
 
 def choices_in_words(plan: AnalysisPlan, unit: Callable[[str], str]) -> Iterator[str]:
-    """Yield the choices of a plan for outliers, doubtful values and covariates, as far as it makes any."""
+    """Yield the choices of a plan for estimand, outliers, doubtful values and covariates, as far as it makes any."""
+    if plan.estimand is not Estimand.MEAN:
+        yield f"{plan.estimand.value}s are compared, not means"
     if plan.outliers is not None:
         rules: dict[str, list[str]] = {}
         for name in plan.outliers.bounds:

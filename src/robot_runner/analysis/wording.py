@@ -24,6 +24,8 @@ _SMALLEST_P = 0.001
 #: Usual levels of significance: a p-value is never rounded to one of them, so that readers see on which side it lies.
 _LEVELS = (0.1, 0.05, 0.01, 0.005)
 _P_DIGITS, _STATISTIC_DIGITS, _MOST_DIGITS = 3, 3, 17
+#: Numbers that differ by less of themselves are equal but for rounding.
+_ROUNDING = 1e-12
 _DIGITS = 4
 _LARGE, _SMALL, _HUGE = 1e4, 1e-4, 1e7
 
@@ -99,8 +101,9 @@ def shown_p(p_value: float | None) -> str:
         return MISSING
     if p_value < _SMALLEST_P:
         return f"< {_SMALLEST_P}"
+    is_level = any(math.isclose(p_value, level, rel_tol=_ROUNDING) for level in _LEVELS)
     texts = (f"{p_value:.{digits}f}" for digits in range(_P_DIGITS, _MOST_DIGITS + 1))
-    return next((text for text in texts if p_value in _LEVELS or float(text) not in _LEVELS), repr(p_value))
+    return next((text for text in texts if is_level or float(text) not in _LEVELS), repr(p_value))
 
 
 def p_in_words(p_value: float) -> str:
@@ -129,10 +132,10 @@ def shown_test(name: str, freedom: Iterable[float], statistic: float | None) -> 
     """Return a statistic with its degrees of freedom, as papers print it; trailing zeros are kept.
 
     Example:
-        >>> shown_test("F", (2, 11.8642), 6.6), shown_test("t", (8,), 1830.2)
+        >>> shown_test("F", (2, 11.8642), 6.6), shown_test("t", (8 * (1 + 1e-15),), 1830.2)
         ('F(2, 11.86) = 6.60', 't(8) = 1,830')
     """
-    degrees = ", ".join(f"{each:.0f}" if float(each).is_integer() else f"{each:.2f}" for each in freedom)
+    degrees = ", ".join(f"{each:.0f}" if float(f"{each:.12g}").is_integer() else f"{each:.2f}" for each in freedom)
     return f"{name}({degrees}) = {shown_number(statistic, _STATISTIC_DIGITS)}"
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from itertools import product
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -47,7 +48,8 @@ def pilot_of(root: Path, study: Study, assumed: AssumedMeasure, repetitions: int
     # Blocks respond to tasks, and a robot is no task.
     if place is not None:
         cells = [tuple(text for at, text in enumerate(cell) if at != place) for cell in cells]
-    (values,) = assumed.draw(np.random.default_rng(5), 1, cells, blocks)
+    names = [name for name in study.factors if place is None or name != "Robot"]
+    (values,) = assumed.draw(np.random.default_rng(5), 1, names, cells, blocks)
 
     def value(treatments: dict[str, Any], repetition: int) -> dict[str, Any]:
         cell = tuple(map(str, treatments.values()))
@@ -61,7 +63,7 @@ def pilot_of(root: Path, study: Study, assumed: AssumedMeasure, repetitions: int
 def assumed(spread: float = 10.0, *, block_sd: float = 0.0, response_sd: float = 0.0) -> AssumedMeasure:
     means: dict[tuple[str, ...], float] = {("Video",): 100.0, ("Network",): 120.0}
     spreads: dict[tuple[str, ...], float] = {("Video",): spread, ("Network",): 2 * spread}
-    return AssumedMeasure("Energy", means, spreads, block_sd, response_sd)
+    return AssumedMeasure("Energy", means, spreads, block_sd, {("Task",): response_sd} if response_sd else {})
 
 
 def test_means_and_spreads_of_combinations_are_those_that_were_drawn(tmp_path: Path) -> None:
@@ -69,7 +71,7 @@ def test_means_and_spreads_of_combinations_are_those_that_were_drawn(tmp_path: P
     found = pilot_values(study, pilot_of(tmp_path / "pilot", study, assumed(), 200), ["Energy"]).measures["Energy"]
     assert found.means[("Network",)] - found.means[("Video",)] == pytest.approx(20, abs=4)
     assert [found.spreads[cell] for cell in study.cells] == pytest.approx([10, 20], rel=0.12)
-    assert (found.block_sd, found.response_sd) == (0, 0)
+    assert (found.block_sd, found.responses) == (0, {})
 
 
 def test_a_pilot_in_another_unit_is_converted_and_one_of_another_quantity_refused(tmp_path: Path) -> None:
@@ -110,7 +112,48 @@ def test_responses_of_robots_are_told_from_chance(tmp_path: Path) -> None:
     drawn = pilot_of(tmp_path / "pilot", study, assumed(block_sd=30.0, response_sd=15.0), 6)
     found = pilot_values(study, drawn, ["Energy"]).measures["Energy"]
     assert found.block_sd == pytest.approx(30, rel=0.35)
-    assert found.response_sd == pytest.approx(15, rel=0.35)
+    assert found.responses == {("Task",): pytest.approx(15, rel=0.35)}
+
+
+MAP = Factor("Map", ["lab", "hall"])
+
+
+@pytest.mark.long
+def test_how_robots_respond_to_each_factor_is_told_apart(tmp_path: Path) -> None:
+    """By one response to combinations, Task would be tested against less than half the variance that it has."""
+    study, cells = study_of(ROBOT, TASK, MAP, blocks="Robot"), list(product(("Video", "Network"), ("lab", "hall")))
+    drawn = AssumedMeasure("Energy", dict.fromkeys(cells, 100.0), dict.fromkeys(cells, 5.0), 30.0, {("Task",): 15.0})
+    for repetitions, spread in ((3, 5.0), (1, 5.0)):
+        pilot = pilot_of(tmp_path / f"{repetitions}", study, drawn, repetitions)
+        found = pilot_values(study, pilot, ["Energy"]).measures["Energy"]
+        assert found.block_sd == pytest.approx(30, rel=0.35)
+        assert found.responses["Task",] == pytest.approx(15, rel=0.3)
+        assert all(size < 3 for term, size in found.responses.items() if term != ("Task",))
+        assert np.mean(list(found.spreads.values())) == pytest.approx(spread, rel=0.15)
+
+
+@pytest.mark.long
+def test_a_pilots_answers_are_left_to_the_other_measures(tmp_path: Path) -> None:
+    """Each of two errors had the other's fix: to name a measure, and to leave it out."""
+    plan = AnalysisPlan(["Energy", "Ok"])
+    study = Study.of_model("study", RunTableModel([TASK], repetitions=4), plan, {"Energy": "J", "Ok": ""})
+    random = np.random.default_rng(3)
+    made = make_experiment(
+        tmp_path / "pilot",
+        [TASK],
+        lambda _, number: {"Energy": float(random.normal(100)), "Ok": number % 3 > 0},
+        repetitions=8,
+        measures=["Energy", "Ok"],
+    )
+    pilot = load_results(made.root)
+    with pytest.raises(AnalysisError) as raised:
+        power_analysis(study, Assumptions(pilot=pilot), Search(last=3, simulations=100))
+    assert "Name the other measures with --measure" in str(raised.value)
+    assumptions = Assumptions(pilot=pilot, measures=["Energy"], differences=["Task=2"])
+    found = power_analysis(study, assumptions, Search(first=4, last=4, simulations=100))
+    assert [claim.label for claim in found.scenarios[-1].claims] == ["effect of Task on Energy"]
+    (note,) = [note for note in found.notes if "controlled together" in note]
+    assert "those of Ok, of which nothing is assumed" in note
 
 
 @pytest.mark.long
@@ -266,6 +309,43 @@ def test_units_of_special_designs_are_told_from_chance(model: RunTableModel) -> 
     assert np.mean(chances) == pytest.approx(1, rel=0.3)
 
 
+SPEED, MANY = Factor("Speed", [1, 2]), Factor("Person", list(range(12)))
+OF_TWO = RunTableModel(
+    [Factor("Task", ["a", "b"]), SPEED, MANY, Factor("Day", [1, 2, 3, 4])],
+    shuffle=True,
+    seed=3,
+    design=Crossover(unit="Person", period="Day", washout_in_s=60),
+)
+PLOTS_OF_TWO = RunTableModel(
+    [Factor("Floor", ["x", "y"]), Factor("Task", ["a", "b"]), SPEED, MANY],
+    shuffle=True,
+    seed=3,
+    design=SplitPlot(hard="Floor", plot="Person"),
+)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("model", [OF_TWO, PLOTS_OF_TWO], ids=["crossover", "split plot"])
+def test_how_subjects_and_plots_respond_to_each_factor_is_told_apart(model: RunTableModel) -> None:
+    """Taken for chance of runs, Task would be tested against a third of the variance that it has."""
+    study = Study.of_model("study", model, None, {"Energy": "J"})
+    assert study.arranged is not None
+    runs = study.arranged(1)
+    people = np.array([int(run.blocks["Person"]) for run in runs])
+    task = np.array([run.cell[list(study.factors).index("Task")] == "a" for run in runs], dtype=int)
+    told = []
+    for seed in range(12):
+        random = np.random.default_rng(seed)
+        values = 10 * random.normal(size=12)[people] + 3 * random.normal(size=(12, 2))[people, task]
+        results = study.results(1, {"Energy": values + random.normal(size=len(runs))})
+        (found,) = pilot_values(study, results, ["Energy"]).measures.values()
+        others = sum(size**2 for term, size in found.responses.items() if term != ("Task",))
+        told.append((found.block_sd**2, found.responses["Task",] ** 2, found.spreads[study.cells[0]] ** 2, others))
+    blocks, responses, chance, others = np.mean(told, axis=0)
+    assert (blocks, responses, chance) == pytest.approx((100, 9, 1), rel=0.25)
+    assert others < 0.5
+
+
 def test_whole_plots_of_a_balanced_pilot_vary_as_the_analysis_of_variance_says() -> None:
     study = Study.of_model("study", SPLIT_PLOT, None, {"Energy": "J"})
     assert study.arranged is not None
@@ -292,6 +372,6 @@ def test_blocks_of_a_pilot_are_chance_in_a_study_without_any(tmp_path: Path) -> 
     drawn = pilot_of(tmp_path / "pilot", blocked, assumed(block_sd=30.0, response_sd=15.0), 6)
     found = pilot_values(plain, drawn, ["Energy"])
     told = found.measures["Energy"]
-    assert (told.block_sd, told.response_sd) == (0, 0)
+    assert (told.block_sd, told.responses) == (0, {})
     assert told.spreads[("Video",)] == pytest.approx(math.hypot(10, 30, 15), rel=0.35)
     assert "The study has no blocks: how those of the pilot vary is taken for chance between runs." in found.notes

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,7 +13,13 @@ from tests.analysis.made_experiment import make_experiment
 from tests.long_cases import long_but, soak_but
 
 from robot_runner.analysis import analyse, load_results
-from robot_runner.analysis.planning.assumed_values import assumed_scenario, differences_of, numbers_of, with_blocks
+from robot_runner.analysis.planning.assumed_values import (
+    assumed_scenario,
+    differences_of,
+    numbers_of,
+    responses_of,
+    with_blocks,
+)
 from robot_runner.analysis.planning.planned_study import Study
 from robot_runner.analysis.planning.power_analysis import Assumptions, power_analysis
 from robot_runner.analysis.planning.power_search import Search, search_repetitions
@@ -106,7 +113,7 @@ def test_simulated_experiments_get_the_verdicts_of_the_report(tmp_path: Path, na
     study, repetitions, first_batch = STUDIES[name]
     measures = study.plan.measures if study.plan is not None else ("Energy",)
     scenario = scenario_of(study, "Task=1.2" if "Task" in study.factors else "Speed=1.2", measures=measures)
-    scenario = with_blocks(scenario, dict.fromkeys(measures, 2.0), dict.fromkeys(measures, 0.5))
+    scenario = with_blocks(scenario, dict.fromkeys(measures, 2.0), {name: {("Task",): 0.5} for name in measures})
     simulation = Simulation(study, scenario, repetitions, seed=(3,), first_batch=first_batch)
     drawn, found, p_values = simulation.values(0, 2), simulation.found(0, 2), simulation.p_values(0, 2)
     experiment = len(name) % 2  # of some studies the first and of others the second: both are simulated at once
@@ -175,7 +182,7 @@ def test_power_for_equivalent_spreads_of_three_treatments_is_that_of_the_noncent
 
 def test_power_within_blocks_is_that_of_the_paired_t() -> None:
     study = study_of([TASK], AnalysisPlan("Energy"), blocks="Repetition")
-    scenario = with_blocks(scenario_of(study, "Task=1"), {"Energy": 5.0}, {"Energy": 0.0})
+    scenario = with_blocks(scenario_of(study, "Task=1"), {"Energy": 5.0}, {})
     simulation = Simulation(study, scenario, 15, seed=(1,))
     found = np.concatenate([simulation.found(part)[effect_key("Energy", ["Task"])] for part in range(8)])
     exact = TTestPower().power(1 / np.sqrt(2), 15, 0.05)
@@ -194,6 +201,18 @@ def test_equivalence_is_found_where_both_of_scipys_one_sided_tests_find_it() -> 
     assert 0.6 < found.mean() < 0.9
 
 
+def test_that_a_difference_is_below_a_bound_is_found_where_scipys_one_sided_test_finds_it() -> None:
+    weights = {"Video": 1, "Network": -1}
+    hypothesis = Hypothesis("No more.", measure="Energy", factors="Task", contrast=weights, below=0.8)
+    study = study_of([TASK], AnalysisPlan(hypotheses=[hypothesis], family=Family.HYPOTHESES))
+    simulation = Simulation(study, scenario_of(study, "Task=0.2"), 20, seed=(1,))
+    found, values = simulation.found(0)[claim_of(hypothesis)], simulation.values(0)["Energy"]
+    video, other = (values[:, list(TASK.treatments).index(name) :: 2] for name in weights)
+    below = stats.ttest_ind(video, other + 0.8, axis=1, equal_var=False, alternative="less").pvalue
+    assert np.array_equal(found, below < 0.05)
+    assert 0.5 < found.mean() < 0.97
+
+
 def test_nothing_that_is_not_there_is_found_more_often_than_alpha() -> None:
     study = study_of([TASK, SPEED], AnalysisPlan("Energy"))
     simulation = Simulation(study, scenario_of(study, "Task=2"), 12, seed=(1,))
@@ -205,10 +224,37 @@ def test_nothing_that_is_not_there_is_found_more_often_than_alpha() -> None:
 @pytest.mark.long
 def test_robots_that_respond_differently_are_not_made_up_for_by_repetitions() -> None:
     study = study_of([ROBOT, TASK], AnalysisPlan("Energy"), blocks="Robot")
-    scenario = with_blocks(scenario_of(study, "Task=1"), {}, {"Energy": 1.0})
+    scenario = with_blocks(scenario_of(study, "Task=1"), {}, {"Energy": {("Task",): 1.0}})
     answer = search_repetitions(study, scenario, Search(last=40, simulations=2000))
     assert answer.needed is None
     assert answer.point(40).least.share < 0.3
+
+
+def test_a_primary_measure_that_is_not_simulated_shares_the_level_and_is_never_found() -> None:
+    study, both = (
+        study_of([TASK], AnalysisPlan("Energy" if name == "one" else ["Energy", "Time"])) for name in ("one", "both")
+    )
+    scenario = scenario_of(study, "Task=1")
+    alone, shared = (Simulation(of, scenario, 10, seed=(1,)) for of in (study, both))
+    (key,) = (claim.key for claim in shared.claims)
+    p_values = shared.p_values(0)[key]
+    assert np.array_equal(shared.found(0)[key], 2 * p_values < 0.05)
+    assert np.array_equal(alone.found(0)[key], p_values < 0.05)
+
+
+def test_robots_respond_to_each_factor_and_not_to_each_combination() -> None:
+    study = study_of([ROBOT, TASK, SPEED], AnalysisPlan("Energy"), blocks="Robot")
+    (measure,) = with_blocks(scenario_of(study), {}, responses_of(study, ["2", "Task=3"], ["Energy"])).measures
+    assert measure.responses == {("Task",): 3.0, ("Speed",): 2.0}
+    cells = study.cells
+    drawn = replace(measure, spreads=dict.fromkeys(cells, 0.0)).draw(
+        np.random.default_rng(1), 4000, list(study.factors), cells, [cell[0] for cell in cells]
+    )
+    of = dict(zip(cells, drawn.T, strict=True))
+    video, network = ([of["burger", task, speed] for speed in study.factors["Speed"]] for task in study.factors["Task"])
+    assert np.std(np.mean(video, axis=0) - np.mean(network, axis=0)) == pytest.approx(3 * 2**0.5, rel=0.05)
+    assert np.std(video[0] - video[1]) == pytest.approx(2 * 2**0.5, rel=0.05)
+    assert np.std(video[0] - network[0] - video[1] + network[1]) == pytest.approx(0, abs=1e-9)
 
 
 @pytest.mark.long

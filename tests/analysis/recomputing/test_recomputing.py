@@ -88,6 +88,13 @@ PLAN = {
             "contrast": {"Video": 1, "Idle": -1},
             "within": 4,
         },
+        {
+            "statement": "Less.",
+            "measure": "Energy",
+            "factors": ["Task"],
+            "contrast": {"Video": 1, "Idle": -1},
+            "below": 4,
+        },
     ],
 }
 #: What would be executed if a name became code, in R or in Python.
@@ -177,7 +184,7 @@ BITS = [Factor(name, [0, 1]) for name in "WXYZ"]
 #: Designs of their own, in the same way.
 DESIGNED: dict[str, tuple[list[Factor], int, set[int], dict[str, Any]]] = {
     "a split plot": ([MAPS, LAYINGS, TASKS], 1, set(), {"chosen": SplitPlot(hard="Map", plot="Laying")}),
-    "a split plot that lost runs": ([MAPS, LAYINGS, TASKS], 1, {3, 8}, {"chosen": SplitPlot("Map", "Laying")}),
+    "a split plot that lost runs": ([MAPS, LAYINGS, TASKS], 1, {3, 8, 13}, {"chosen": SplitPlot("Map", "Laying")}),
     "a split plot of two factors within, adjusted for bytes, a plot lacking one": (
         [MAPS, LAYINGS, TASKS, Factor("Speed", [1, 2])],
         2,
@@ -522,7 +529,7 @@ def test_a_table_that_was_changed_does_not_agree(tmp_path: Path, monkeypatch: py
 NO_RESULTS = {
     "alpha", "plan", "level", "target_power", "effect_size", "family_size", "families", "places", "residuals",
     "theoretical", "observed",
-    "contrast", "within", "outliers", "left_out", "is_extreme", "coding",
+    "contrast", "within", "below", "outliers", "left_out", "is_extreme", "coding",
     "rule_false_positives",
 }  # fmt: skip
 

@@ -13,7 +13,7 @@ from robot_runner.analysis.report.blocks import Facts, Paragraph, Remarks
 from robot_runner.analysis.report.document import report_document
 from robot_runner.analysis.report.material import Material
 from robot_runner.analysis.wording import ALPHA
-from robot_runner.core.design.analysis_plan import AnalysisPlan
+from robot_runner.core.design.analysis_plan import AnalysisPlan, Estimand
 from robot_runner.core.design.factor import Factor
 from robot_runner.core.design.hypothesis import Hypothesis
 from robot_runner.core.design.outliers import Outliers
@@ -124,6 +124,12 @@ def test_a_rule_without_bounds_is_said_to_hold_for_every_numeric_measure() -> No
     assert choice.startswith("left out as outliers: values of every numeric measure more than 3 median absolute")
 
 
+def test_that_ranks_were_fixed_beforehand_is_said() -> None:
+    assert list(choices_in_words(AnalysisPlan("Trust", estimand=Estimand.RANK), str)) == [
+        "ranks are compared, not means"
+    ]
+
+
 @pytest.mark.parametrize("other", [Factor("Map", ["m1"]), MAP], ids=["one treatment", "one executed"])
 def test_a_factor_that_did_not_vary_leaves_figures_and_tables_as_they_are(tmp_path: Path, other: Factor) -> None:
     document = report(tmp_path / "trial", [TASK, SPEED, other])
@@ -203,3 +209,12 @@ def test_a_hypothesis_is_named_where_it_is_said_to_stand(tmp_path: Path) -> None
         if each.title == "Energy has doubtful values"
     ]
     assert "B needs more than A: Without the 1 run" in threat.text
+
+
+def test_effects_that_are_not_tested_without_doubtful_runs_take_one_sentence(tmp_path: Path) -> None:
+    every = {f"r_{place}": "the computer was busy" for place in range(1, 25)}
+    document = report(tmp_path / "trial", [TASK, SPEED], doubts=every)
+    remarks = [each for block in document.blocks() if isinstance(block, Remarks) for each in block.remarks]
+    (threat,) = [each for each in remarks if each.title == "Energy has doubtful values"]
+    assert threat.text.count("Without the 24 runs") == 1
+    assert "3 effects on Energy cannot be tested: whether these conclusions stand is not known." in threat.text

@@ -51,6 +51,18 @@ def test_a_machine_that_was_the_same_in_all_runs_is_no_threat(threats: Callable[
     assert about_machines(threats(facts(), facts())) == {}
 
 
+def test_runs_that_the_table_had_as_done_before_the_first_execution_are_told(two_tasks: Callable[..., Any]) -> None:
+    folder = two_tasks(manifest={"design": {"source": "run_table.csv", "done_before": ["r_1", "r_2", "gone"]}})
+    began = '{"kind":"attempt_started","at":"2026-01-31T12:00:00.000Z","run":"r_2","attempt":1}\n'
+    ExperimentFolder(folder.root).journal.write_text(began)
+    results = load_results(folder.root)
+    found = {threat.title: threat.text for threat in threats_of(Material(results, analyse(results)))}
+    assert found["Runs were executed elsewhere"] == (
+        "The run table had 1 run as done before the experiment began here (r_1): where and by what is not known, and "
+        "their values count as all others do."
+    )
+
+
 def test_a_frequency_that_was_left_to_chance_is_said_once(threats: Callable[..., dict[str, str]]) -> None:
     found = about_machines(threats(facts("powersave", turbo=True), facts("powersave", turbo=True)))
     assert list(found) == ["The frequency of this machine was not fixed"]

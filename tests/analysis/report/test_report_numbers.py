@@ -10,6 +10,7 @@ import pandas as pd
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy import stats
 
 from robot_runner.analysis import analyse, load_results
 from robot_runner.analysis.report.document import plain, report_document
@@ -77,6 +78,7 @@ def test_a_p_value_is_never_shown_as_zero(p_value):
         (0.001_2, "0.001"),
         (0.0996, "0.0996"),
         (0.2, "0.200"),
+        (float(stats.f.sf(19, 2, 2)), "0.050"),  # 0.05 but for rounding
     ],
 )
 def test_a_p_value_is_not_rounded_to_the_level_that_it_lies_below_or_above(p_value, shown):
@@ -87,6 +89,9 @@ def test_a_p_value_is_not_rounded_to_the_level_that_it_lies_below_or_above(p_val
 def test_a_p_value_is_shown_on_its_side_of_each_usual_level(p_value):
     shown = shown_p(p_value)
     for level in (0.1, 0.05, 0.01, 0.005):
+        if p_value == pytest.approx(level, rel=1e-12):
+            assert float(shown) == level
+            continue
         assert (float(shown.removeprefix("< ")) < level) == (p_value < level)
 
 

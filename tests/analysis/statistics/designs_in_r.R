@@ -2,7 +2,7 @@
 folder <- commandArgs(TRUE)[1]
 options(contrasts = c("contr.sum", "contr.poly"))
 tell <- function(name, effect, f, df1, df2, p) {
-  cat(sprintf('{"design": "%s", "effect": "%s", "figures": [%.12g, %g, %g, %.12g]}\n', name, effect, f, df1, df2, p))
+  cat(sprintf('{"design": "%s", "effect": "%s", "figures": [%.12g, %.12g, %.12g, %.12g]}\n', name, effect, f, df1, df2, p))
 }
 of_aov <- function(name, fit, effects) {
   for (stratum in summary(fit)) {
@@ -33,8 +33,20 @@ carried <- typed(read("crossover"))
 sum_coded <- contr.sum(nlevels(carried$Treatment))
 before <- read("crossover")$Before
 carry <- t(sapply(before, function(each) if (each == "") rep(0, ncol(sum_coded)) else sum_coded[match(each, levels(carried$Treatment)), ]))
-last("crossover", ~Treatment, lm(y ~ Subject + Period + carry + Treatment, carried))
-last("crossover_washed_out", ~Treatment, lm(y ~ Subject + Period + Treatment, carried))
+# Of four treatments within subjects: with R's own epsilon of what periods leave of each subject's contrasts.
+within <- function(name, fit, beside) {
+  table <- drop1(fit, ~Treatment, test = "F")
+  unit <- contr.helmert(4) %*% diag(1 / sqrt(colSums(contr.helmert(4)^2)))
+  of_subjects <- function(x) as.vector(rowsum(unit[carried$Treatment, ] * x, carried$Subject))
+  rest <- matrix(qr.resid(qr(apply(beside, 2, of_subjects)), of_subjects(carried$y)), ncol = 3)
+  told <- stats:::sphericity(structure(list(SSD = crossprod(rest), df = fit$df.residual / 3), class = "SSD"))
+  share <- min(1, told$HF.eps)
+  f <- table[2, "F value"]
+  tell(name, "Treatment", f, 3 * share, fit$df.residual * share, pf(f, 3 * share, fit$df.residual * share, lower.tail = FALSE))
+}
+subjects <- lm(y ~ Subject + Period + Treatment, carried)
+within("crossover_washed_out", subjects, model.matrix(~ Period + Treatment, carried)[, -1])
+within("crossover", lm(y ~ Subject + Period + carry + Treatment, carried), cbind(model.matrix(~ Period + Treatment, carried)[, -1], carry))
 last("incomplete", ~Treatment, lm(y ~ Block + Treatment, typed(read("incomplete"))))
 single <- typed(read("single_runs"))
 for (effect in c("A", "B", "C")) last("single_runs", as.formula(paste0("~", effect)), lm(y ~ A + B + C, single))

@@ -407,17 +407,47 @@ def test_a_contrast_and_a_bound_of_equivalence_are_judged(tmp_path):
     (pair,) = found.measure("Energy").post_hoc[0].comparisons
     assert (contrast.estimate, contrast.p_value) == (pytest.approx(pair.difference), pytest.approx(pair.p_value))
     assert -3 < bound.interval.low < bound.interval.high < 3
+    assert found.hypotheses[1].conclusion.endswith("; the claim is within ±3.")
     assert bound.interval.level == pytest.approx(0.9)
 
 
-def test_ranks_have_no_unit_and_no_bound_in_one(tmp_path):
+@pytest.mark.parametrize(("below", "is_supported"), [(2.5, True), (0, False), (-1, False), (-4, False)])
+def test_a_difference_below_a_bound_is_judged_as_scipys_one_sided_test_does(tmp_path, below, is_supported):
+    weights = {"Video": 1, "Idle": -1}
+    claim = {"statement": "No more.", "measure": "Energy", "factors": ["Task"], "contrast": weights, "below": below}
+    random = np.random.default_rng(4)
+    made = make_experiment(
+        tmp_path / "made",
+        [TASKS],
+        lambda of, repetition: {"Energy": random.normal(1.5, 2) if of["Task"] == "Video" else random.normal()},
+        repetitions=20,
+        analysis={"measures": ["Energy"], "family": "hypotheses", "hypotheses": [claim]},
+    )
+    results = load_results(made.root)
+    found = analyse(results)
+    (outcome,), (contrast,) = found.hypotheses, found.measure("Energy").contrasts
+    video, idle = (results.runs.loc[results.runs["Task"] == task, "Energy"] for task in weights)
+    exact = stats.ttest_ind(video - below, idle, equal_var=False, alternative="less")
+    assert contrast.p_value == pytest.approx(exact.pvalue)
+    assert contrast.interval.high == pytest.approx(below + exact.confidence_interval(0.95).high)
+    assert (outcome.is_supported, contrast.interval.high < below) == (is_supported, is_supported)
+    assert "another direction" not in outcome.conclusion
+    assert outcome.conclusion.endswith(f"; the claim is below {below}.")
+
+
+def test_ranks_have_no_unit_and_no_bound_in_one_but_a_direction(tmp_path):
     claim = {"measure": "Energy", "factors": ["Task"]}
+    weights = {"Video": 1, "Idle": -1}
     hypotheses = [
-        {"statement": "Video costs more.", "contrast": {"Video": 1, "Idle": -1}, **claim},
+        {"statement": "Video costs more.", "contrast": weights, **claim},
         {"statement": "They are within 1 J.", "within": 1, **claim},
+        {"statement": "Video costs less than 1 J more.", "contrast": weights, "below": 1, **claim},
+        {"statement": "Idling costs less.", "contrast": {"Idle": 1, "Video": -1}, "below": 0, **claim},
     ]
     plan = {"measures": ["Energy"], "estimand": "rank", "hypotheses": hypotheses}
-    contrast, bound = analyse(analysed(tmp_path, plan, shift=50)).hypotheses
+    contrast, bound, below, direction = analyse(analysed(tmp_path, plan, shift=50)).hypotheses
+    assert below.is_supported is None
+    assert direction.is_supported
     assert "The contrast of relative ranks is estimated as" in contrast.conclusion
     assert " J" not in contrast.conclusion
     assert bound.is_supported is None

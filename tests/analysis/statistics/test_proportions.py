@@ -17,7 +17,8 @@ from tests.analysis.statistics.designed_data import designed
 from robot_runner.analysis import analyse, load_results
 from robot_runner.analysis.statistics.disclosed import Reason
 from robot_runner.analysis.statistics.grouped_runs import Group
-from robot_runner.analysis.statistics.proportions import _proportion
+from robot_runner.analysis.statistics.proportions import Strata, _proportion
+from robot_runner.core.design.analysis_plan import AnalysisPlan, Estimand, Hypothesis
 from robot_runner.core.design.factor import Factor
 
 if TYPE_CHECKING:
@@ -222,6 +223,13 @@ def test_where_all_say_the_same_nothing_is_tested(tmp_path: Path, answers: list[
 
 
 @pytest.mark.long
+def test_an_exact_p_value_that_is_the_level_is_not_below_it() -> None:
+    """Of 2 and 14 runs, of which both and two say yes: 6 of 120 tables, which rounding left below 0.05."""
+    for yes in ([2, 2], [0, 12]):
+        assert Strata(np.array([[2, 14]]), np.array([yes])).p_value() == 6 / 120
+    assert Strata(np.array([[3, 3]]), np.array([[3, 0]])).p_value() == 0.1
+
+
 def test_a_pair_is_judged_by_the_exact_test_as_an_effect_is(tmp_path: Path) -> None:
     answers = {("lab",): said(8, 10), ("hall",): said(3, 10), ("yard",): said(10, 10)}
     found = analysed(tmp_path, [ROOM], answers).measure("Success")
@@ -309,3 +317,67 @@ def test_a_run_without_a_covariate_is_in_the_proportions_all_the_same(tmp_path: 
     assert found.test is not None
     assert found.test.effects[0].p_value == pytest.approx(stats.fisher_exact([[6, 0], [4, 2]]).pvalue)
     assert [each.what for each in found.not_computed] == ["adjustment for covariates"]
+
+
+#: How many of four runs say yes, by seed of the training, policy and scene.
+TRAINED = {
+    ("s1", "imitation"): (4, 2),
+    ("s2", "diffusion"): (4, 4),
+    ("s3", "imitation"): (2, 1),
+    ("s4", "diffusion"): (3, 3),
+    ("s5", "imitation"): (3, 0),
+    ("s6", "diffusion"): (4, 2),
+}
+
+
+@pytest.mark.long
+def test_the_shares_of_a_split_plot_are_compared_as_its_means_are() -> None:
+    """In R 4.2.2: summary(aov(100 * yes ~ Policy * Scene + Error(Seed / Scene)))."""
+    scenes = ("clean", "clutter")
+    rows = [
+        (seed, policy, scene, place < count)
+        for (seed, policy), counts in TRAINED.items()
+        for scene, count in zip(scenes, counts, strict=True)
+        for place in range(4)
+    ]
+    facts = {"kind": "split_plot", "whole_plot": "Seed", "whole_plot_factors": ["Policy"]}
+    plan = AnalysisPlan(
+        "y", estimand=Estimand.RANK, hypotheses=[Hypothesis("The policy matters.", measure="y", factors="Policy")]
+    )
+    results = designed(rows, ["Seed", "Policy", "Scene"], facts, plan=plan)
+    results.table["y"] = results.table["y"].astype("boolean")
+    statistics = analyse(results)
+    found = statistics.measure("y")
+    assert found.test is not None
+    assert (found.test.estimand, found.unit) == ("proportion", "%")
+    figures = {each.label: (each.statistic, *each.degrees_of_freedom) for each in found.test.effects}
+    assert figures["Policy"] == pytest.approx((4.923, 1, 4), abs=5e-4)
+    assert figures["Scene"] == pytest.approx((9.143, 1, 4), abs=5e-4)
+    assert figures["Policy x Scene"] == pytest.approx((2.286, 1, 4), abs=5e-4)
+    (policies, _) = found.post_hoc
+    assert policies.comparisons[0].difference == pytest.approx(-100 / 3)
+    assert found.proportions is not None
+    assert found.proportions.overall.count == 32
+    assert [each.p_value for each in statistics.hypotheses] == [found.test.effects[0].p_value]
+    # Numbers are ranked, as the plan has it; nobody is told to publish what has no other test.
+    of_numbers = analyse(designed(rows, ["Seed", "Policy", "Scene"], facts, plan=plan)).measure("y").test
+    assert of_numbers is not None
+    assert "relative ranks are compared" in of_numbers.reason
+    assert "relative ranks" not in found.test.reason
+    assert not [note for note in of_numbers.notes if "publish False and True" in note]
+
+
+@pytest.mark.long
+def test_the_shares_of_a_split_plot_that_lost_a_run_are_compared() -> None:
+    rows = [
+        (seed, policy, scene, count > 2)
+        for (seed, policy), counts in TRAINED.items()
+        for scene, count in zip(("clean", "clutter"), counts, strict=True)
+    ]
+    facts = {"kind": "split_plot", "whole_plot": "Seed", "whole_plot_factors": ["Policy"]}
+    results = designed(rows[1:], ["Seed", "Policy", "Scene"], facts)
+    results.table["y"] = results.table["y"].astype("boolean")
+    test = analyse(results).measure("y").test
+    assert test is not None
+    assert "each block with a random mean" in test.reason
+    assert all(each.p_value is not None for each in test.effects)

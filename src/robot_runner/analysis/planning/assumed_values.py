@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,6 +15,7 @@ import numpy as np
 import pandas as pd
 
 from robot_runner.analysis.arrays import Floats
+from robot_runner.analysis.statistics.effect_coding import Term
 from robot_runner.analysis.statistics.families import Key, effect_key
 from robot_runner.core.errors import AnalysisError, did_you_mean
 from robot_runner.core.words import combination_label, counted, enumerated, listed
@@ -35,39 +36,56 @@ class AssumedMeasure:
     Attributes:
         means, spreads: the mean and the standard deviation of each combination, in the measure's unit.
         block_sd: the standard deviation of block effects, the same for all values of a block.
-        response_sd: the standard deviation of the interaction of blocks and combinations.
+        responses: the standard deviation of how blocks respond to the treatments of each factor, or to the combinations
+            of several: what a block adds to all of its runs of one.
     """
 
     name: str
     means: Mapping[Cell, float]
     spreads: Mapping[Cell, float]
     block_sd: float = 0.0
-    response_sd: float = 0.0
+    responses: Mapping[Term, float] = field(default_factory=dict)
 
     @property
     def is_constant(self) -> bool:
         """Whether runs of a combination within a block are equal, except for rounding."""
-        return max(*self.spreads.values(), self.response_sd) <= _ROUNDING * max(map(abs, self.means.values()))
+        return max(*self.spreads.values(), *self.responses.values()) <= _ROUNDING * max(map(abs, self.means.values()))
 
     def with_spread(self, spread: float) -> AssumedMeasure:
         """Return the same with a common standard deviation for all combinations."""
         return replace(self, spreads=dict.fromkeys(self.spreads, spread))
 
     def draw(
-        self, random: np.random.Generator, experiments: int, cells: Sequence[Cell], blocks: Sequence[str]
+        self,
+        random: np.random.Generator,
+        experiments: int,
+        factors: Sequence[str],
+        cells: Sequence[Cell],
+        blocks: Sequence[str],
     ) -> Floats:
-        """Return the values of many experiments, (experiments, runs)."""
+        """Return the values of many experiments, (experiments, runs).
+
+        Args:
+            random: draws them.
+            experiments: how many.
+            factors: of the combinations.
+            cells: the combination of each run.
+            blocks: the block of each run.
+        """
         means = np.array([self.means[cell] for cell in cells])
         spreads = np.array([self.spreads[cell] for cell in cells])
         values = means + spreads * random.normal(size=(experiments, len(cells)))
         _, block = np.unique(blocks, return_inverse=True)
         if self.block_sd:
             values += self.block_sd * random.normal(size=(experiments, block.max() + 1))[:, block]
-        if self.response_sd:
-            numbers = {cell: place for place, cell in enumerate(dict.fromkeys(cells))}
-            cell = np.array([numbers[each] for each in cells])
+        for term, spread in self.responses.items():
+            held = [tuple(text for name, text in zip(factors, cell, strict=True) if name in term) for cell in cells]
+            numbers = {each: place for place, each in enumerate(dict.fromkeys(held))}
+            treatment = np.array([numbers[each] for each in held])
+            if not spread or len(set(zip(block, treatment, strict=True))) == block.max() + 1:
+                continue  # what differs between blocks only is in `block_sd`
             drawn = random.normal(size=(experiments, block.max() + 1, len(numbers)))
-            values += self.response_sd * drawn[:, block, cell]
+            values += spread * drawn[:, block, treatment]
         return values
 
 
@@ -119,18 +137,47 @@ def numbers_of(study: Study, option: str, texts: Sequence[str], measures: Sequen
         names = [study.measure(name.strip(), option)] if has_name else measures
         size = _number(number, option, text)
         if size < 0:
-            raise AnalysisError(f"{text!r} is below 0", where=option, fix="Give a standard deviation.")
+            raise _below_zero(text, option)
         found |= dict.fromkeys(names, size)
     return found
 
 
-def differences_of(study: Study, texts: Sequence[str], measures: Sequence[str]) -> list[Difference]:
+def responses_of(study: Study, texts: Sequence[str], measures: Sequence[str]) -> dict[str, dict[Term, float]]:
+    """Return how blocks respond, for each measure, from texts such as `5`, `Energy=5` or `Energy:Task=5`.
+
+    Without a factor, blocks respond to each factor by so much.
+
+    Raises:
+        AnalysisError: a text cannot be read, or names a factor or measure that cannot be used.
+    """
+    option, found = "--response-sd", dict[str, dict[Term, float]]()
+    told: list[tuple[str, Term, float]]
+    for text in texts:
+        what = text.rpartition("=")[0].strip()
+        if not what or what in study.units:
+            each_factor = numbers_of(study, option, [text], measures)
+            told = [(measure, (name,), size) for measure, size in each_factor.items() for name in study.varied]
+        else:
+            told = [(each.measure, each.factors, each.size) for each in differences_of(study, [text], measures, option)]
+        for measure, factors, size in told:
+            if size < 0:
+                raise _below_zero(text, option)
+            found.setdefault(measure, {})[factors] = size
+    return found
+
+
+def _below_zero(text: str, option: str) -> AnalysisError:
+    return AnalysisError(f"{text!r} is below 0", where=option, fix="Give a standard deviation.")
+
+
+def differences_of(
+    study: Study, texts: Sequence[str], measures: Sequence[str], option: str = "--difference"
+) -> list[Difference]:
     """Return the differences in texts such as `Task=5`, `Energy:Task=5` or `Task x Speed=3`.
 
     Raises:
         AnalysisError: a text cannot be read, or names a factor or measure that cannot be used.
     """
-    option = "--difference"
     found = []
     for text in texts:
         what, _, number = text.rpartition("=")
@@ -192,6 +239,7 @@ def assumed_scenario(
     missing = [name for name in measures if name not in spreads and name not in base]
     if missing:
         fix = "Give " + " ".join(f"--sd {name}=..." for name in missing) + ", or a pilot: --pilot FOLDER."
+        fix += "" if len(measures) == len(missing) else " Or name the others with --measure."
         raise AnalysisError(f"nothing is assumed of {enumerated(missing)}", where="power", fix=fix)
     _refuse_bounds(study, [name for name in measures if name not in base])
     made = []
@@ -205,7 +253,7 @@ def assumed_scenario(
                 {cell: centre + sum(each.at(study, cell) for each in mine) for cell in study.cells},
                 dict.fromkeys(study.cells, spreads[name]) if known is None else known.spreads,
                 known.block_sd if known is not None else 0.0,
-                known.response_sd if known is not None else 0.0,
+                known.responses if known is not None else {},
             )
         )
     return Scenario(title, tuple(made), frozenset(effect_key(each.measure, each.factors) for each in differences))
@@ -293,15 +341,17 @@ def _rows_of_cells(study: Study, table: pd.DataFrame, where: str) -> Iterator[tu
         raise AnalysisError(problem, where=where, fix=f"Add rows for {listed(dict.fromkeys(missing))}.")
 
 
-def with_blocks(scenario: Scenario, blocks: Mapping[str, float], responses: Mapping[str, float]) -> Scenario:
-    """Return the same with these standard deviations of blocks and of their responses."""
+def with_blocks(
+    scenario: Scenario, blocks: Mapping[str, float], responses: Mapping[str, Mapping[Term, float]]
+) -> Scenario:
+    """Return the same with these standard deviations of blocks and of their responses, by measure."""
     return replace(
         scenario,
         measures=tuple(
             replace(
                 each,
                 block_sd=blocks.get(each.name, each.block_sd),
-                response_sd=responses.get(each.name, each.response_sd),
+                responses=responses.get(each.name, each.responses),
             )
             for each in scenario.measures
         ),

@@ -55,12 +55,7 @@ class RunTimes:
 
 @dataclass(frozen=True, slots=True)
 class Candidate:
-    """A candidate design.
-
-    Attributes:
-        name: in words.
-        made: returns the run-table model for a number of repetitions (replicates of a split plot).
-    """
+    """A candidate design; `made` returns its model for a number of repetitions (replicates of a split plot)."""
 
     name: str
     made: Callable[[int], RunTableModel]

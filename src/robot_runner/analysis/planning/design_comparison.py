@@ -11,7 +11,7 @@ import numpy as np
 
 from robot_runner.analysis.planning.candidate_designs import Candidate, RunTimes, most_repetitions
 from robot_runner.analysis.planning.planned_study import Study
-from robot_runner.analysis.planning.power_analysis import Assumptions, scenarios_of
+from robot_runner.analysis.planning.power_analysis import Assumptions, note_on_family, scenarios_of
 from robot_runner.analysis.planning.power_search import sought_claims
 from robot_runner.analysis.planning.power_simulation import AT_ONCE, Simulation
 from robot_runner.analysis.statistics.analysed_design import design_of
@@ -39,14 +39,11 @@ class Asked:
     """The request for a comparison of designs.
 
     Attributes:
-        name: of the experiment.
-        plan: the analysis plan, if any.
         units: the measures of the run table, with their units.
         assumptions: on the values; if there are none, effects of one standard deviation are assumed.
         effects: the effects to detect; empty for the hypotheses, or all main effects.
         budget: the time budget, in s.
         power: the target power, 0..1.
-        seed: of the simulations.
     """
 
     name: str
@@ -64,10 +61,8 @@ class ComparedDesign:
     """The result of one design within the budget.
 
     Attributes:
-        name: in words.
         repetitions: the number that fits into the budget; 0 if none does.
-        runs: the number of runs.
-        seconds: their duration, in s.
+        seconds: the duration of all runs, in s.
         combinations: the number of executed combinations.
         aliased: the aliases, in words.
         tells: 3 if all interactions can be estimated, 2 for two-factor interactions, 1 for main effects that are not
@@ -108,7 +103,6 @@ class DesignComparison:
     """The compared designs and the recommended one.
 
     Attributes:
-        asked: the request.
         designs: in the order of the candidates.
         recommended: the name of a design; empty if none fits.
         reasons: sentences on why it is recommended.
@@ -301,6 +295,7 @@ def _reasons(best: ComparedDesign | None, found: Sequence[ComparedDesign], asked
 
 def _notes(asked: Asked) -> Iterator[str]:
     assumed = asked.assumptions
+    yield from note_on_family(asked.plan, assumed.measures)
     if assumed.pilot is None and assumed.means is None and not assumed.spreads:
         yield (
             "Nothing is assumed of the values (--sd and --difference, or --pilot): the power is that for ends of a "

@@ -13,7 +13,12 @@ from scipy import stats
 from robot_runner.analysis.comparison.matching import in_unit, of_one_quantity, why_incomparable
 from robot_runner.analysis.planning.assumed_values import AssumedMeasure
 from robot_runner.analysis.statistics.analysed_design import BATCH, VALUE, Design, design_of
+from robot_runner.analysis.statistics.designed_models import designed_model_of
+from robot_runner.analysis.statistics.effect_coding import Factors, Term
 from robot_runner.analysis.statistics.known_design import role_column
+from robot_runner.analysis.statistics.strata_model import StrataModel
+from robot_runner.analysis.statistics.unit_responses import UnitRuns
+from robot_runner.core.design.analysis_plan import Estimand, Statistic
 from robot_runner.core.errors import AnalysisError, did_you_mean
 from robot_runner.core.words import combination_label, counted, enumerated
 
@@ -139,8 +144,11 @@ def _measure(
     """
     data = design.data(name)
     if data is None:
-        what = "not a number" if design.answers(name) is None else "yes or no, of which no power is simulated,"
-        raise AnalysisError(f"{name} is {what} in the pilot", where=where, fix="Name another with --measure.")
+        what, fix = "not a number", "Name another with --measure."
+        if design.answers(name) is not None:
+            what = "yes or no, of which no power is simulated,"
+            fix = "Name the other measures with --measure. Of this one R tells the power: statmod::power.fisher.test."
+        raise AnalysisError(f"{name} is {what} in the pilot", where=where, fix=fix)
     frame = _with_cells(data.frame.assign(**{VALUE: in_unit(data.frame[VALUE], *units)}), shared)
     means = frame.groupby(_CELL)[VALUE].mean().to_dict()
     counts = frame[_CELL].value_counts().to_dict()
@@ -154,7 +162,7 @@ def _measure(
     if freedom < 1:
         problem = f"the pilot has a single run of each combination: {name} has no spread"
         raise AnalysisError(problem, where=where, fix="Repeat its runs, or give --sd and --difference instead.")
-    varying = _varying(study, data, frame, freedom)
+    varying = _varying(study, data, frame, freedom, shared)
     if varying is None:
         problem = f"the pilot has a single run of each combination in each batch: {name} has no spread without these"
         raise AnalysisError(problem, where=where, fix="Repeat its runs, or give --sd and --difference instead.")
@@ -166,12 +174,14 @@ def _measure(
         {cell: float(means[part]) for cell, part in wanted.items()},
         {cell: float(own[part]) if counts[part] >= _ENOUGH else pooled for cell, part in wanted.items()},
         varying.block_sd,
-        varying.response_sd,
+        varying.responses,
     )
     return told, varying.freedom
 
 
-def _varying(study: Study, data: MeasureData, frame: pd.DataFrame, freedom: int) -> _Blocks | None:
+def _varying(
+    study: Study, data: MeasureData, frame: pd.DataFrame, freedom: int, shared: Sequence[str]
+) -> _Blocks | None:
     """Return how blocks and runs vary; None where nothing is left of runs without their batches.
 
     Blocks of the pilot are chance between runs in a study without any.
@@ -179,14 +189,15 @@ def _varying(study: Study, data: MeasureData, frame: pd.DataFrame, freedom: int)
     beside = [_CELL, *([BATCH] if data.is_extended else [])]
     residuals, rank = _residuals(frame, _columns(frame, beside))
     if study.has_units and data.is_blocked:
-        return _blocks(residuals, frame)
+        return _blocks(residuals, frame, shared)
     if study.has_units and data.known.unit_columns:
         others = (name for name in data.known.columns if name not in data.known.unit_columns)
-        units = _units(frame.assign(**{_UNIT: data.unit_names}), [*beside, *map(role_column, others)])
+        known = _within_units(data, frame[VALUE].to_numpy(dtype=np.float64), shared)
+        units = _units(frame.assign(**{_UNIT: data.unit_names}), [*beside, *map(role_column, others)], known)
         if units is not None:
             return units
     own = len(frame) - rank
-    return None if own < 1 else _Blocks(0.0, 0.0, residuals * math.sqrt(freedom / own), own)
+    return None if own < 1 else _Blocks(0.0, {}, residuals * math.sqrt(freedom / own), own)
 
 
 def _columns(frame: pd.DataFrame, names: Sequence[str]) -> Floats:
@@ -201,7 +212,22 @@ def _residuals(frame: pd.DataFrame, columns: Floats) -> tuple[pd.Series, int]:
     return frame[VALUE] - columns @ solved, int(rank)
 
 
-def _units(frame: pd.DataFrame, beside: Sequence[str]) -> _Blocks | None:
+def _within_units(data: MeasureData, values: Floats, shared: Sequence[str]) -> list[_MeanSquare]:
+    """Return how whole plots or subjects differ in each effect, as the tests have it; empty where runs do not tell."""
+    units = UnitRuns.of_data(data)
+    if units is None or not set(units.factors) <= set(shared) or units.held.max() > 1:
+        return []
+    model = designed_model_of(data, Estimand.MEAN, Statistic.COMBINED, values)
+    responses = model.fits[-1].responses if isinstance(model, StrataModel) else ()
+    terms = units.factors.terms(len(units.factors))
+    found = [
+        _MeanSquare(term, float(of.mean_square), int(of.freedom * of.contrasts), units.factors.only(term).count)
+        for term, of in zip(terms, responses, strict=False)
+    ]
+    return found[::-1]
+
+
+def _units(frame: pd.DataFrame, beside: Sequence[str], known: Sequence[_MeanSquare]) -> _Blocks | None:
     """Estimate how whole plots, subjects or incomplete blocks vary, beside runs; None where runs do not tell.
 
     Units need not have each combination: what they add beside other columns is estimated by Henderson's method 3
@@ -217,7 +243,12 @@ def _units(frame: pd.DataFrame, beside: Sequence[str]) -> _Blocks | None:
     weight = float(((units - others @ np.linalg.lstsq(others, units)[0]) ** 2).sum())
     between = (float((without**2).sum()) - float((left**2).sum()) - chance * (rank - fewer)) / weight
     scale = math.sqrt((len(frame) - frame[_CELL].nunique()) / own)
-    return _Blocks(math.sqrt(max(0.0, between)), 0.0, left * scale, own)
+    variances: dict[Term, float] = {}
+    if known and chance > 0:
+        least, own, cells = known[0].square, known[0].freedom, known[0].levels
+        variances, scale = _responses(known, least, cells), scale * math.sqrt(least / chance)
+        between -= (least - chance) * (rank - fewer) / weight + _of_means(known, variances)
+    return _Blocks(math.sqrt(max(0.0, between)), _deviations(variances), left * scale, own)
 
 
 def _with_cells(frame: pd.DataFrame, shared: Sequence[str]) -> pd.DataFrame:
@@ -234,21 +265,22 @@ class _Blocks(NamedTuple):
     """The standard deviations of blocks and of their responses to treatments, and the remaining residuals.
 
     Attributes:
+        responses: by the factors that blocks respond to.
         left: the residuals without these, scaled to the degrees of freedom of all residuals.
         freedom: the degrees of freedom of the remaining residuals.
     """
 
     block_sd: float
-    response_sd: float
+    responses: dict[Term, float]
     left: pd.Series
     freedom: int
 
 
-def _blocks(residuals: pd.Series, frame: pd.DataFrame) -> _Blocks:
+def _blocks(residuals: pd.Series, frame: pd.DataFrame, shared: Sequence[str]) -> _Blocks:
     """Estimate variance components by moments (analysis of variance), with the harmonic mean of the numbers of runs.
 
-    Without repeated runs in blocks, responses are confounded with the error and included in it. If blocks cannot be
-    separated either, everything is error.
+    Without repeated runs in blocks, responses to all factors together are confounded with the error and included in it.
+    If blocks cannot be separated either, everything is error.
     """
     block, total = frame[_BLOCK].astype(str), len(residuals)
     within = residuals.groupby([block, frame[_CELL]])
@@ -258,16 +290,74 @@ def _blocks(residuals: pd.Series, frame: pd.DataFrame) -> _Blocks:
     each = len(sizes) / float((1 / sizes).sum())
     freedom = len(sizes) - blocks - cells + 1
     between = float(((means - means.groupby(level=0).transform("mean")) ** 2).sum()) / freedom if freedom > 0 else 0.0
+    effects = _mean_squares(means, shared) or [_MeanSquare(tuple(shared), between, freedom, cells)]
     if total > len(sizes):
         left = residuals - within.transform("mean")
-        chance = float((left**2).sum()) / (total - len(sizes))
         own = total - len(sizes)
-        response, scale = max(0.0, between - chance / each), math.sqrt((total - cells) / own)
+        chance, scale = float((left**2).sum()) / own, math.sqrt((total - cells) / own)
     elif freedom > 0:
         left = residuals - block.map(of_blocks)
-        own, chance, response, scale = freedom, between, 0.0, math.sqrt((total - cells) / freedom)
+        chance, own = effects[0].square, effects[0].freedom
+        scale = math.sqrt((total - cells) / freedom * (chance / between if between else 1.0))
     else:
-        return _Blocks(0.0, 0.0, residuals, total - cells)
-    noise = (response + chance / each) * blocks / len(sizes)
+        return _Blocks(0.0, {}, residuals, total - cells)
+    variances = _responses(effects, chance / each, cells)
+    noise = _of_means(effects, variances) + chance / each * blocks / len(sizes)
     spread = float(of_blocks.var(ddof=1)) if blocks > 1 else 0.0
-    return _Blocks(math.sqrt(max(0.0, spread - noise)), math.sqrt(response), left * scale, own)
+    return _Blocks(math.sqrt(max(0.0, spread - noise)), _deviations(variances), left * scale, own)
+
+
+class _MeanSquare(NamedTuple):
+    """How blocks differ in an effect: its factors, the mean square, its degrees of freedom, and the treatments."""
+
+    term: Term
+    square: float
+    freedom: int
+    levels: int
+
+
+def _responses(effects: Sequence[_MeanSquare], chance: float, cells: int) -> dict[Term, float]:
+    """Return the variance of the response to each effect, of which chance and wider interactions are taken away."""
+    variances: dict[Term, float] = {}
+    levels = {effect.term: effect.levels for effect in effects}
+    for term, square, *_ in effects:
+        others = math.fsum(of * cells / levels[other] for other, of in variances.items() if set(term) < set(other))
+        variances[term] = max(0.0, square - chance - others) * levels[term] / cells
+    return variances
+
+
+def _of_means(effects: Sequence[_MeanSquare], variances: Mapping[Term, float]) -> float:
+    """Return what responses add to the variance of the means of blocks."""
+    return math.fsum(variances[effect.term] / effect.levels for effect in effects)
+
+
+def _deviations(variances: Mapping[Term, float]) -> dict[Term, float]:
+    return {term: math.sqrt(variance) for term, variance in variances.items() if variance}
+
+
+def _mean_squares(means: pd.Series, shared: Sequence[str]) -> list[_MeanSquare]:
+    """Return how blocks differ in each effect of several factors, interactions first.
+
+    Args:
+        means: of each combination in each block; blocks that lack one are left out.
+        shared: the factors.
+
+    Returns:
+        Empty for a single factor, of fewer than two blocks, and where combinations are not those of a full factorial.
+    """
+    table = means.unstack().dropna()  # noqa: PD010 - a series
+    cells = [tuple(each) for each in table]
+    factors = Factors({name: list(dict.fromkeys(cell[at] for cell in cells)) for at, name in enumerate(shared)})
+    if len(shared) == 1 or len(table) < 2 or factors.count != len(cells):  # noqa: PLR2004 - two blocks differ
+        return []
+    codes = {
+        name: np.array([levels.index(cell[at]) for cell in cells]) for at, (name, levels) in enumerate(factors.items())
+    }
+    centred = table.to_numpy() - table.to_numpy().mean(axis=0)
+    found = []
+    for term in reversed(factors.terms(len(shared))):
+        contrasts = factors.contrasts(term)[:, factors.numbers(codes)]
+        freedom = (len(table) - 1) * len(contrasts)
+        square = float(np.sum((centred @ contrasts.T) ** 2)) / freedom
+        found.append(_MeanSquare(term, square, freedom, math.prod(len(factors[name]) for name in term)))
+    return found

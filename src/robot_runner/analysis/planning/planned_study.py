@@ -300,11 +300,7 @@ def _arranged(model: RunTableModel, studied: Sequence[str]) -> Callable[[int], t
 
 @dataclass(frozen=True)
 class PlannedResults(Results):
-    """Simulated results: a run table in memory, all of whose runs are done.
-
-    Attributes:
-        table: the run table.
-    """
+    """Simulated results: a run table in memory, all of whose runs are done."""
 
     table: pd.DataFrame | None = None
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,6 +14,7 @@ from robot_runner.analysis.planning.assumed_values import (
     differences_of,
     means_file,
     numbers_of,
+    responses_of,
     with_blocks,
 )
 from robot_runner.analysis.planning.pilot_values import Pilot, pilot_values
@@ -26,6 +27,7 @@ from robot_runner.core.words import counted, enumerated
 if TYPE_CHECKING:
     from robot_runner.analysis.planning.planned_study import Study
     from robot_runner.analysis.results import Results
+    from robot_runner.core.design.analysis_plan import AnalysisPlan
 
 #: The most measures of a pilot without a plan: each is a separate family, and more would only take time.
 _MOST_MEASURES = 6
@@ -40,7 +42,8 @@ class Assumptions:
         pilot: an executed experiment, whose means, standard deviations and blocks are taken.
         means: a CSV file of means.
         measures: the measures; empty for those of the plan.
-        spreads, differences, blocks, responses: texts such as `12` or `Energy=12`, `Task=5` or `Energy:Task=5`.
+        spreads, blocks: texts such as `12` or `Energy=12`.
+        differences, responses: texts such as `Task=5` or `Energy:Task=5`; of responses also those of spreads.
     """
 
     pilot: Results | None = None
@@ -118,7 +121,7 @@ def _assumed_as_mapping(measure: AssumedMeasure) -> dict[str, Any]:
             for cell in measure.means
         ],
         "block_sd": measure.block_sd,
-        "response_sd": measure.response_sd,
+        "response_sd": {" x ".join(term): spread for term, spread in measure.responses.items()},
     }
 
 
@@ -171,7 +174,7 @@ def _varying_scenarios(
 ) -> list[Scenario]:
     scenarios = list(_scenarios(study, assumptions, measures, pilot))
     blocks = numbers_of(study, "--block-sd", assumptions.blocks, measures)
-    responses = numbers_of(study, "--response-sd", assumptions.responses, measures)
+    responses = responses_of(study, assumptions.responses, measures)
     found = [with_blocks(each, blocks, responses) for each in scenarios]
     for name in dict.fromkeys(measure.name for each in found for measure in each.measures if measure.is_constant):
         problem = f"runs of one combination are assumed to have the same {name}, so that nothing can be tested"
@@ -190,16 +193,11 @@ def _measures(study: Study, assumptions: Assumptions) -> tuple[str, ...]:
     """Return the measures to simulate: the requested ones, those of the plan, or all with assumptions.
 
     Raises:
-        AnalysisError: a measure is unknown, or shares a family with others that are left out.
+        AnalysisError: a measure is unknown.
     """
     asked = tuple(study.measure(name, "--measure") for name in assumptions.measures)
     if study.plan is not None:
-        primary = tuple(study.measure(name, "analysis") for name in study.plan.measures)
-        left_out = [name for name in primary if name not in asked]
-        if asked and left_out and study.plan.family is not Family.MEASURE:
-            problem = f"errors are controlled together with those of {enumerated(left_out)}, which --measure leaves out"
-            raise AnalysisError(problem, where="--measure", fix="Leave out --measure, or name all primary measures.")
-        return asked or primary
+        return asked or tuple(study.measure(name, "analysis") for name in study.plan.measures)
     named = [text.rpartition("=")[0] for text in assumptions.spreads]
     found = asked or tuple(dict.fromkeys(study.measure(name, "--sd") for name in named if name))
     if not found and assumptions.pilot is not None:
@@ -254,6 +252,7 @@ def _notes(study: Study, measures: Sequence[str], pilot: Pilot | None, found: Se
     yield from dict.fromkeys(sentence(each.too_few) for each in found if each.too_few)
     if study.plan is None:
         yield "The config has no analysis plan: each measure's effects are a family at 5 %, corrected after Holm."
+    yield from note_on_family(study.plan, measures)
     if len(measures) > 1:
         yield "Measures are drawn independently of each other; where theirs go together, so do their verdicts."
     if study.is_repeated:
@@ -270,6 +269,17 @@ def _notes(study: Study, measures: Sequence[str], pilot: Pilot | None, found: Se
         count = counted(how_many, "block")
         told = "how these differ is the chance that effects are compared with"
         yield f"{blocks} makes {count}: {told}, so that more of them help where more repetitions do not."
+
+
+def note_on_family(plan: AnalysisPlan | None, measures: Collection[str]) -> Iterator[str]:
+    """Yield a note on the primary measures that share the family of those that are simulated, and are not."""
+    primary = plan.measures if plan is not None and plan.family is not Family.MEASURE else ()
+    left_out = [name for name in primary if name not in measures]
+    if left_out and set(measures) & set(primary):
+        yield (
+            f"Errors are controlled together with those of {enumerated(left_out)}, of which nothing is assumed: "
+            f"effects on {'it' if len(left_out) == 1 else 'them'} count as never found, so the power is this or more."
+        )
 
 
 # Answers in words.

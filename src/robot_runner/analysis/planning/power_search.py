@@ -336,11 +336,11 @@ def _refuse_nothing(study: Study, scenario: Scenario, claim: Claim) -> None:
     factors = claim.key[1] or {
         name
         for each in (study.plan.hypotheses if study.plan is not None else ())
-        if each.statement == claim.label and each.within is None
+        if each.statement == claim.label and not each.has_bound
         for name in each.factors
     }
     if len(factors) != 1:
-        return  # interactions and equivalence are not checked
+        return  # interactions and bounds are not checked
     (factor,) = factors
     place = list(study.factors).index(factor)
     means = next(each.means for each in scenario.measures if each.name == claim.measure)

@@ -176,6 +176,13 @@ class Simulation:
         """Return which claims are significant after correction, in each experiment of a part."""
         p_values = self.p_values(part, experiments)
         tested = {each.assumed.name: self._keys(each, p_values) for each in self._measures}
+        # What is not simulated shares their family: it is corrected for, and taken to be never found.
+        effects = {test.factors for each in self._measures for test in each.model.effects()}
+        for name in self._plan.measures if self._plan is not None else ():
+            if name not in tested:
+                stated = (contrast_key(each.statement) for each in contrasts_of(self._plan, name))
+                tested[name] = [*(effect_key(name, factors) for factors in effects), *stated]
+                p_values |= dict.fromkeys(tested[name], np.ones(experiments))
         found: dict[Key, NDArray[np.bool_]] = {}
         for _, keys in families_of(tested, self._plan):
             if keys:
@@ -209,7 +216,11 @@ class Simulation:
         """Return the values of each measure, (experiments, runs), with runs in the order of the study."""
         return {
             each.assumed.name: each.assumed.draw(
-                np.random.default_rng((*self._seed, part, place)), AT_ONCE, self._cells, each.blocks
+                np.random.default_rng((*self._seed, part, place)),
+                AT_ONCE,
+                tuple(self._study.factors),
+                self._cells,
+                each.blocks,
             )[:experiments]
             for place, each in enumerate(self._measures)
         }

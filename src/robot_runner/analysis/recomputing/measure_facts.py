@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from itertools import combinations
 from math import prod
 from typing import TYPE_CHECKING
@@ -35,9 +36,10 @@ from robot_runner.analysis.statistics.descriptive import quiet
 from robot_runner.analysis.statistics.known_precision import level_of_looks
 from robot_runner.analysis.statistics.lenth_test import LENTH, LenthModel
 from robot_runner.analysis.statistics.linear_model import FittedModel
+from robot_runner.analysis.statistics.proportions import in_points
 from robot_runner.analysis.statistics.strata_model import StrataModel
 from robot_runner.analysis.statistics.surface_model import SurfaceModel
-from robot_runner.analysis.statistics.tested import Effect, NotComputed, PostHoc
+from robot_runner.analysis.statistics.tested import Effect, NotComputed, PostHoc, TestMethod
 from robot_runner.analysis.statistics.tests import Choices, check_estimand, model_of
 from robot_runner.analysis.statistics.unit_responses import within_units
 from robot_runner.core.design.analysis_plan import Estimand
@@ -76,7 +78,7 @@ _MOST_CELLS = 5_000
 _OF_BLOCKS, _BOOTSTRAP = " of blocks", ", parametric bootstrap"
 
 
-_PAIR = 2
+_PAIR, _EXACT = 2, TestMethod.PROPORTIONS
 
 
 def facts_of_measure(
@@ -97,12 +99,15 @@ def facts_of_measure(
     levels = level_of_looks(design.results, measure.name)
     residuals = about_residuals(measure)
     compared, left, taken = None, [], {}
-    designed = designed_facts(data, design.results) if measure.proportions is None else None
-    if measure.proportions is None and designed is None and (data.covariates or not data.known.is_plain):
+    is_exact = measure.proportions is not None and (measure.test is None or measure.test.method is _EXACT)
+    if measure.proportions is not None and not is_exact:
+        data, choices = in_points(data), replace(choices, estimand=Estimand.MEAN)
+    designed = None if is_exact else designed_facts(data, design.results)
+    if not is_exact and designed is None and (data.covariates or not data.known.is_plain):
         # Scripts cannot compute their residuals.
         left = [*residuals.values(), *_not_recomputed(measure)]
         residuals = dict.fromkeys(residuals, Reported())
-    elif measure.proportions is None and measure.test is not None:
+    elif not is_exact and measure.test is not None:
         compared = _compared(data, measure, choices, hypotheses, effect_keys, contrast_keys, designed)
         left = [] if compared is not None else _not_recomputed(measure)
     if left:
@@ -149,7 +154,9 @@ def _answered(
     """Return the facts of a yes-or-no measure; None for others."""
     if measure.proportions is None:
         return None
-    effects = measure.test.effects if measure.test is not None else ()
+    is_exact = measure.test is not None and measure.test.method is _EXACT
+    effects = measure.test.effects if measure.test is not None and is_exact else ()
+    post_hoc = measure.post_hoc if is_exact else ()
     known = [each for each in effects if each.p_value is not None]
     # P-values for three or more treatments are random.
     drawn = {each.factors: each.p_value for each in known if len(data.levels(each.factors[0])) > _PAIR}
@@ -173,8 +180,8 @@ def _answered(
             for each in known
         ),
         tested=Reported.of(rows),
-        pairs=tuple(_paired(each, effect_keys[each.factors], "ranks", data) for each in measure.post_hoc),
-        treatments=tuple(tuple((each.first, each.second) for each in of.comparisons) for of in measure.post_hoc),
+        pairs=tuple(_paired(each, effect_keys[each.factors], "ranks", data) for each in post_hoc),
+        treatments=tuple(tuple((each.first, each.second) for each in of.comparisons) for of in post_hoc),
     )
 
 
@@ -343,5 +350,5 @@ def _chosen(post_hoc: PostHoc, data: MeasureData | None) -> tuple[int, ...]:
 def _contrasted(hypothesis: Hypothesis, levels: Mapping[str, Sequence[str]], choices: Choices, key: str) -> Contrasted:
     (factor,) = hypothesis.factors
     weights = hypothesis.contrast or dict(zip(levels[factor], (1.0, -1.0), strict=True))
-    level = 1 - (1 if hypothesis.within is None else 2) * choices.alpha
-    return Contrasted(key, hypothesis.statement, factor, dict(weights), hypothesis.within, level)
+    level = 1 - (2 if hypothesis.has_bound else 1) * choices.alpha
+    return Contrasted(key, hypothesis, factor, dict(weights), level)

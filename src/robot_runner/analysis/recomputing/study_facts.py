@@ -10,6 +10,7 @@ if TYPE_CHECKING:
     from robot_runner.analysis.recomputing.designed_facts import Designed, SurfaceFacts
     from robot_runner.analysis.recomputing.reported import Number, Reported
     from robot_runner.analysis.statistics.tested import AssumptionCheck
+    from robot_runner.core.design.hypothesis import Hypothesis
 
 #: The confidence level of the interval of a mean.
 LEVEL = 0.95
@@ -103,14 +104,12 @@ class Contrasted:
     Attributes:
         key: its unique name in the study.
         weights: by treatment of the factor.
-        within: the bound of equivalence, if any.
     """
 
     key: str
-    statement: str
+    hypothesis: Hypothesis
     factor: str
     weights: Mapping[str, float]
-    within: float | None
     level: float
 
 

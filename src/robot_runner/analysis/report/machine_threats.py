@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from glob import escape
 from typing import Any
 
 from robot_runner.analysis.report.blocks import Tone
-from robot_runner.analysis.report.material import Material, noted_number
-from robot_runner.analysis.sample_files import noted
+from robot_runner.analysis.report.material import Material
+from robot_runner.analysis.sample_files import noted_number, notes_of
 from robot_runner.analysis.wording import listed
 from robot_runner.core.design.columns import RUN_ID
+from robot_runner.core.storage.executed_runs import done_before
 from robot_runner.core.storage.layout import ExperimentFolder
-from robot_runner.core.words import enumerated
+from robot_runner.core.words import counted, enumerated
 
 #: The profiler whose files are read, by the class name in the manifest.
 _WATCH = ":MachineWatch"
@@ -29,15 +31,22 @@ def read_machines(material: Material) -> dict[str, dict[str, Mapping[str, Any]]]
     ]
     folder = ExperimentFolder(material.results.folder)
     found: dict[str, dict[str, Mapping[str, Any]]] = {}
-    for run_id in material.done[RUN_ID]:
-        for path in (path for name in watches for path in sorted((folder.run(run_id) / name).glob("*.json"))):
-            if isinstance(facts := noted(path, folder.root), dict):
+    for name in watches:
+        for run_id, _, facts in notes_of(folder, material.done[RUN_ID], f"{escape(name)}/*.json"):
+            if isinstance(facts, dict):
                 found.setdefault(str(facts.get("host")), {})[str(run_id)] = facts
     return found
 
 
 def machine_threats(material: Material) -> Iterator[tuple[str, str, Tone]]:
-    """Yield settings of a computer that differed between runs, and settings that were not controlled."""
+    """Yield runs of unknown computers, and settings of one that differed between runs or were not controlled."""
+    before = done_before(material.results.manifest, material.executed)
+    if elsewhere := [run for run in material.done[RUN_ID] if run in before]:
+        text = (
+            f"The run table had {counted(len(elsewhere), 'run')} as done before the experiment began here "
+            f"({listed(elsewhere)}): where and by what is not known, and their values count as all others do."
+        )
+        yield "Runs were executed elsewhere", text, Tone.WARNING
     for host, runs in read_machines(material).items():
         whose = "this machine" if host == "localhost" else host
         yield from _governor(whose, runs)

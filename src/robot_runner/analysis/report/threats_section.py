@@ -21,12 +21,13 @@ from robot_runner.analysis.statistics.lost_runs import (
     repeated_by_treatment,
     unsuccessful_in_words,
 )
+from robot_runner.analysis.statistics.robustness import gathered
 from robot_runner.analysis.wording import kind_of, listed, sentence, shown_number
 from robot_runner.core.design.columns import EXCLUDED, RUN_ID
 from robot_runner.core.events.measure import Quality
 from robot_runner.core.secret_names import shown_settings
 from robot_runner.core.storage.cells import RunStatus
-from robot_runner.core.storage.executed_runs import moved_in_words
+from robot_runner.core.storage.executed_runs import changes_in_words, moved_in_words
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.words import counted, enumerated
 
@@ -38,7 +39,7 @@ if TYPE_CHECKING:
 
 #: The sizes from which an effect is large (Cohen 1988).
 _LARGE = {"Cohen's d": 0.8, "Cohen's f": 0.4}
-_FEW = 5
+_FEW, _FEW_EFFECTS = 5, 2
 
 
 def threats_section(material: Material, threats: Sequence[Remark]) -> Section:
@@ -141,7 +142,8 @@ def _doubtful(material: Material) -> Threats:
     for name, rows in doubted.groupby("measure", sort=False):
         standings = material.statistics.standings
         mine = [each for each in standings if each.measure == name and each.beside is not Beside.WITHOUT_COVARIATES]
-        told = " ".join(f"{each.statement}{': ' * bool(each.statement)}{each.conclusion}" for each in mine)
+        claims = [f"{each.statement}: {each.conclusion}" for each in mine if each.statement]
+        told = " ".join([*claims, *gathered([each for each in mine if not each.statement], most=_FEW_EFFECTS)])
         runs = counted(len(material.done), "run")
         text = f"{len(rows):,} of {runs}: {listed(rows['run_id'])}; Outcome of each run has the reasons. {told}".strip()
         yield f"{name} has doubtful values", text, Tone.WARNING if all(each.stands for each in mine) else Tone.BAD
@@ -182,9 +184,7 @@ def _drifts(material: Material) -> Threats:
 def _order(material: Material) -> Threats:
     design = material.manifest("design", default={})
     if "shuffle" in design and not design["shuffle"] and design.get("source") != "run_table.csv":
-        text = (
-            "Runs were executed in the order in which they were written; what changes with time may pass for an effect."
-        )
+        text = "Runs were executed in the order of the config; what changes with time may pass for an effect."
         yield "The order was not randomised", text, Tone.WARNING
     if design.get("is_reordered"):
         text = "The rows of run_table.csv were put into another order by hand, and runs were executed in that order."
@@ -213,8 +213,7 @@ def _excluded(material: Material) -> Threats:
         times = sorted(shown_stamp(each.isoformat()) for each in runs["excluded_at"].dropna())
         when = f" ({times[0]}{f' to {times[-1]}' if times[-1] != times[0] else ''})" if times else ""
         text = f"{sentence(str(reason))} Not in the statistics: {listed(runs[RUN_ID], shown=20)}{when}."
-        title = f"{counted(len(runs), 'run')} {'was' if len(runs) == 1 else 'were'} excluded"
-        yield title, text, Tone.WARNING
+        yield f"{counted(len(runs), 'run')} {'was' if len(runs) == 1 else 'were'} excluded", text, Tone.WARNING
 
 
 def _searched(material: Material) -> Threats:
@@ -313,11 +312,8 @@ def _circumstances(material: Material) -> Threats:
     deviations: dict[str, object] = dict(material.manifest("deviations", default={}))
     for execution in executions:
         deviations |= execution.get("deviations") or {}
-    changed: list[dict[str, str]] = [each for each in material.manifest("table_deviations", default=[]) if each["run"]]
-    if changed:
-        cells = (f"{each['column']} of {each['run']} from {each['was']!r} to {each['is']!r}" for each in changed)
-        text = f"Cells were changed in run_table.csv: {listed(cells, shown=20)}."
-        yield "The run table was changed by hand", text, Tone.BAD
+    if changes := changes_in_words(material.results.manifest, shown=20):
+        yield "The run table was changed by hand", f"{changes[:1].upper()}{changes[1:]}.", Tone.BAD
     if deviations:
         shown = listed((f"{name} = {value}" for name, value in shown_settings(deviations).items()), shown=20)
         text = f"Set on the command line, against what the config says: {shown}."

@@ -74,7 +74,8 @@ def _fitted_by_units(data: MeasureData, values: Floats, estimand: Estimand, stat
         return None
     _, unit = np.unique(units.unit[kept] * units.factors.count + units.cell[kept], return_inverse=True)
     found = _fitted(left, values[..., kept], unit, estimand, statistic, names)
-    if not isinstance(found, StrataModel) or not (found.has_responses or len(units.factors) == 1):
+    is_trials = len(units.factors) == 1 and units.are_repeated
+    if not isinstance(found, StrataModel) or not (found.has_responses or is_trials):
         return None
     notes = [f"Not each {names} has all combinations, so these runs are left out of the tests: {listed(runs)}."]
     out = tuple(map(int, np.flatnonzero(~kept)))

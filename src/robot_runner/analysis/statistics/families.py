@@ -33,7 +33,7 @@ from robot_runner.analysis.wording import (
     with_unit,
 )
 from robot_runner.core.design.analysis_plan import AnalysisPlan, Correction, Estimand, Family
-from robot_runner.core.words import counted, enumerated
+from robot_runner.core.words import counted, enumerated, exact
 
 if TYPE_CHECKING:
     from robot_runner.core.design.hypothesis import Hypothesis
@@ -305,9 +305,9 @@ def judge(
     is_supported = adjusted_p.p_value < alpha
     verdict = "The data do not support it, which is not proof of the contrary"
     if is_supported:  # in which direction a statement is meant is not known: tests are of either
-        verdict = f"The data support it{', unless it claims another direction' * (hypothesis.within is None)}"
+        verdict = f"The data support it{', unless it claims another direction' * (not hypothesis.has_bound)}"
     figures = f"{p_in_words(adjusted_p.p_value)} after correction for {counted(adjusted_p.size, 'test')}"
-    conclusion = f"{verdict} ({figures}). {_result_in_words(tested, measure)}"
+    conclusion = f"{verdict} ({figures}). {_result_in_words(tested, measure, hypothesis)}"
     return HypothesisOutcome(hypothesis, tested.p_value, adjusted_p.p_value, is_supported, conclusion)
 
 
@@ -319,7 +319,7 @@ def _tested(hypothesis: Hypothesis, measure: MeasureStatistics | None) -> Effect
     return next((each for each in measure.test.effects if set(each.factors) == set(hypothesis.factors)), None)
 
 
-def _result_in_words(tested: Effect | ContrastTest, measure: MeasureStatistics) -> str:
+def _result_in_words(tested: Effect | ContrastTest, measure: MeasureStatistics, hypothesis: Hypothesis) -> str:
     if hasattr(tested, "conclusion"):
         return tested.conclusion
     is_of_ranks = measure.test is not None and measure.test.estimand == Estimand.RANK.value
@@ -328,7 +328,12 @@ def _result_in_words(tested: Effect | ContrastTest, measure: MeasureStatistics) 
         with_unit(each, unit) for each in (tested.estimate, tested.interval.low, tested.interval.high)
     )
     level, what = shown_level(tested.interval.level), "contrast of relative ranks" if is_of_ranks else "contrast"
-    return f"The {what} is estimated as {estimate}, with {level} confidence between {low} and {high}."
+    claim = ""
+    if hypothesis.within is not None:
+        claim = f"; the claim is within ±{exact(hypothesis.within)} {unit}".rstrip()
+    elif hypothesis.below is not None:
+        claim = f"; the claim is below {exact(hypothesis.below)} {unit}".rstrip()
+    return f"The {what} is estimated as {estimate}, with {level} confidence between {low} and {high}{claim}."
 
 
 def _reason(hypothesis: Hypothesis, measure: MeasureStatistics | None) -> str:

@@ -144,14 +144,14 @@ def adjusted(p_values: Sequence[float], correction: Correction) -> list[float]:
 
 
 def carry_out_contrast(model: AnyModel, hypothesis: Hypothesis, choices: Choices) -> ContrastTest | NotComputed:
-    """Test the contrast of a hypothesis, or that a difference is within a bound (two one-sided tests)."""
+    """Test the contrast of a hypothesis, or that it is within a bound (two one-sided tests) or below one (one)."""
     found = contrast_of(model, hypothesis, choices.estimand)
     if isinstance(found, NotComputed):
         return found
     estimate, error, freedom = (float(each) for each in found)
     if not (error > 0 and math.isfinite(freedom)):
         return NotComputed(_test_of(hypothesis), "the values of its treatments do not vary.")
-    level = 1 - choices.alpha if hypothesis.within is None else 1 - 2 * choices.alpha
+    level = 1 - (2 if hypothesis.has_bound else 1) * choices.alpha
     p_value = float(p_value_of_contrast(found, hypothesis))
     reach = found.reach(1 - level)
     interval = Interval(estimate - reach, estimate + reach, level, _T)
@@ -160,7 +160,7 @@ def carry_out_contrast(model: AnyModel, hypothesis: Hypothesis, choices: Choices
 
 def contrast_of(model: AnyModel, hypothesis: Hypothesis, estimand: Estimand) -> Contrast | NotComputed:
     """Estimate the contrast of a hypothesis; the model may be of many simulated experiments at once."""
-    if hypothesis.within is not None and estimand is Estimand.RANK:
+    if (hypothesis.within or hypothesis.below) and estimand is Estimand.RANK:
         why = "a bound in the unit of the measure says nothing of ranks, which differ by 1 at most: compare means."
         return NotComputed(_test_of(hypothesis), why)
     levels = dict(levels_of(model))
@@ -179,11 +179,14 @@ def contrast_of(model: AnyModel, hypothesis: Hypothesis, estimand: Estimand) -> 
 
 
 def p_value_of_contrast(found: Contrast, hypothesis: Hypothesis) -> Floats:
-    """Return the p-value of a difference from zero; with a bound, that of the equivalence test."""
-    if hypothesis.within is None:
+    """Return the p-value of a difference from zero; with a bound, that of the test of equivalence or of one side."""
+    bound, size = hypothesis.below, found.estimate
+    if hypothesis.within is not None:
+        bound, size = hypothesis.within, np.abs(found.estimate)
+    if bound is None:
         return found.p_value
     with quiet():
-        return np.asarray(stats.t.sf((hypothesis.within - np.abs(found.estimate)) / found.error, found.freedom))
+        return np.asarray(stats.t.sf((bound - size) / found.error, found.freedom))
 
 
 def _test_of(hypothesis: Hypothesis) -> str:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.metadata import version
 from itertools import combinations
 from typing import TYPE_CHECKING, NamedTuple
@@ -107,6 +107,12 @@ def _score_ends(share: float, n: float, z: float) -> tuple[float, float]:
     centre = (share + z * z / (2 * n)) / (1 + z * z / n)
     half = z / (1 + z * z / n) * math.sqrt(share * (1 - share) / n + z * z / (4 * n * n))
     return max(0.0, min(share, centre - half)), min(1.0, max(share, centre + half))  # despite rounding
+
+
+def in_points(answers: MeasureData) -> MeasureData:
+    """Return a yes-or-no measure with 100 for yes, so that its means are percentages."""
+    frame, every = (of.assign(**{VALUE: 100 * of[VALUE]}) for of in (answers.frame, answers.every))
+    return replace(answers, frame=frame, every=every)
 
 
 # Tests of effects.
@@ -269,7 +275,8 @@ class Strata:
             chances = np.convolve(chances, stats.hypergeom.pmf(np.arange(low, high + 1), n, int(count), first))
             least += low
         seen = chances[int(self.yes[:, 0].sum()) - least]
-        return float(min(1.0, chances[chances <= seen * (1 + _ROUNDING)].sum()))
+        found = min(1.0, chances[chances <= seen * (1 + _ROUNDING)].sum())
+        return float(f"{found:.12g}")  # it is a fraction, which may be the level itself
 
     def _permuted(self, draws: int) -> float:
         draws = min(draws, max(_FEWEST_DRAWS, _MOST_DEALT // len(self.runs)))

@@ -112,7 +112,7 @@ def standing_hypotheses(
 
 def _has_turned(hypothesis: Hypothesis, planned: MeasureStatistics, changed: MeasureStatistics) -> bool:
     """Return whether the contrast of a hypothesis, or the difference of its two treatments, has changed its sign."""
-    if hypothesis.within is not None:
+    if hypothesis.has_bound:
         return False
     if not hypothesis.is_contrast:
         return _turned(planned, changed, hypothesis.factors)

@@ -289,7 +289,7 @@ _COMPARED = {Estimand.MEAN: "means", Estimand.TRIMMED_MEAN: "trimmed means", Est
 
 def _reason(data: MeasureData, model: AnyModel, estimand: Estimand) -> str:
     if isinstance(model, StrataModel | LenthModel | SurfaceModel):
-        return model.reason
+        return model.reason + (f" Of the values, {_COMPARED[estimand]} are compared." * (estimand is not Estimand.MEAN))
     if not data.known.is_plain and isinstance(model, CellMeans):
         of = f"{counted(len(data.factors), 'factor')} in {len(model.layout.sizes)} combinations ({data.known.in_words})"
         each = f"{_COMPARED[estimand]} are compared, with a variance for each combination."
@@ -382,7 +382,8 @@ def _notes(data: MeasureData, model: AnyModel) -> Iterator[str]:
 
 def _notes_on_values(data: MeasureData, model: AnyModel) -> Iterator[str]:
     """Yield where values are such that a few of them may be alike by chance."""
-    if np.array_equal(np.unique(data.values), (0, 1)):
+    # In other designs, shares of yes are compared as means are.
+    if data.known.is_plain and np.array_equal(np.unique(data.values), (0, 1)):
         yield (
             "All values are 0 or 1. Where these stand for no and yes, publish False and True: proportions are compared "
             "by exact tests, however few runs there are."

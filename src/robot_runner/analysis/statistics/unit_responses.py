@@ -20,6 +20,8 @@ from robot_runner.core.words import enumerated
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+_PAIR = 2
+
 
 def note_on_responses(data: MeasureData, model: object) -> Iterator[str]:
     """Yield a note that blocks are taken to respond alike, where two factors and more vary within them.
@@ -29,7 +31,8 @@ def note_on_responses(data: MeasureData, model: object) -> Iterator[str]:
     """
     within = within_units(data, data.unit_names)
     is_told = isinstance(model, StrataModel) and model.is_of_units
-    several = len(within) > 1 or UnitRuns.of_data(data) is not None
+    units = UnitRuns.of_data(data)
+    several = len(within) > 1 or (units is not None and units.are_repeated)
     if (data.known.columns or data.is_blocked) and several and not is_told:
         names, factors = enumerated(data.known.unit_columns or [data.block or "block"]), enumerated(within)
         yield (
@@ -54,12 +57,14 @@ class UnitRuns(NamedTuple):
         factors: those that differ within units.
         cell: the combination of these, of each run.
         held: the number of runs of each combination in each unit, (units, combinations).
+        are_repeated: whether a unit has a combination in several periods.
     """
 
     unit: Numbers
     factors: Factors
     cell: Numbers
     held: Numbers
+    are_repeated: bool
 
     @property
     def are_complete(self) -> NDArray[np.bool_]:
@@ -70,8 +75,9 @@ class UnitRuns(NamedTuple):
     def of_data(cls, data: MeasureData) -> UnitRuns | None:
         """Return the units of a measure; None without units, and where they tell nothing of their responses.
 
-        They tell nothing of a single factor that each has once, nor where other blocks than periods cross them, such as
-        columns of a square, which may respond differently as well.
+        They tell nothing of two treatments that each has once, which are compared with the variation within units
+        anyway, nor where other blocks than periods cross them, such as columns of a square, which may respond
+        differently as well.
         """
         known, treatments = data.known, data.treatments
         if not known.unit_columns or treatments.conditions:
@@ -86,21 +92,22 @@ class UnitRuns(NamedTuple):
         shape = (int(unit.max()) + 1, factors.count)
         cell = factors.numbers(codes_of(data.frame, factors))
         periods = data.frame[role_column(known.period)] if known.period else pd.Series(unit)
-        if len(factors) == 1 and periods.groupby([unit, cell], observed=True).nunique().max() == 1:
+        are_repeated = bool(periods.groupby([unit, cell], observed=True).nunique().max() > 1)
+        if factors.count == _PAIR and not are_repeated:
             return None
         held = np.bincount(unit * shape[1] + cell, minlength=shape[0] * shape[1]).reshape(shape)
-        return cls(unit, factors, cell, held)
+        return cls(unit, factors, cell, held, are_repeated)
 
 
 def responses_of(data: MeasureData) -> tuple[Floats, ...]:
     """Return the contrasts that tell how each unit responds to factors that differ within units.
 
     Returns:
-        (units, contrasts, runs), orthonormal, for each of these factors and interactions. None where a single factor
-        differs, whose effect the variation within units is compared with anyway, and where a unit lacks a combination.
+        (units, contrasts, runs), orthonormal, for each of these factors and interactions; empty where units do not tell
+        it, and where one lacks a combination.
     """
     found = UnitRuns.of_data(data)
-    if found is None or len(found.factors) == 1 or np.any(found.held != 1):
+    if found is None or np.any(found.held != 1):
         return ()
     belongs = np.eye(len(found.held))[found.unit]
     terms = found.factors.terms(len(found.factors))
