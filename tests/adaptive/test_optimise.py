@@ -15,7 +15,7 @@ import pytest
 
 from robot_runner import Factor, Range, RunTableModel
 from robot_runner.adaptive import Optimise, optimise
-from robot_runner.adaptive.explored import SearchedSpace
+from robot_runner.adaptive.explored import SearchedSpace, baseline_of
 from robot_runner.adaptive.optimise import _Search
 from robot_runner.adaptive.optuna_program import candidates
 from robot_runner.core.design.asking import Decision, Told
@@ -214,6 +214,39 @@ def test_what_cannot_be_is_said_with_a_remedy(make: Callable[[], object], proble
     with pytest.raises(DesignError) as raised:
         make()
     assert any(problem in each.problem and fix in each.fix for each in raised.value.findings), raised.value.findings
+
+
+def conditional(**baseline: object) -> RunTableModel:
+    factors = [
+        Factor("Sensor", ["camera", "lidar"]),
+        Factor("Width", [640, 320], when={"Sensor": "camera"}),
+        Factor("Rate", Range(1, 9, step=1), when={"Width": 640}),
+    ]
+    design = Optimise("Energy", runs=20, confirm=1, baseline=baseline)
+    return RunTableModel(factors, design=design, data_columns=["Energy"])
+
+
+@pytest.mark.parametrize(
+    ("baseline", "treatments"),
+    [
+        ({"Sensor": "lidar"}, ("lidar", INACTIVE, INACTIVE)),
+        ({"Sensor": "lidar", "Width": 640, "Rate": 3}, ("lidar", INACTIVE, INACTIVE)),
+        ({"Sensor": "camera", "Width": 320}, ("camera", 320, INACTIVE)),
+        ({"Sensor": "camera", "Width": 640, "Rate": 3}, ("camera", 640, 3)),
+    ],
+)
+def test_a_baseline_has_no_treatment_of_a_factor_that_does_not_apply(
+    baseline: dict[str, object], treatments: tuple[object, ...]
+) -> None:
+    assert baseline_of(conditional(**baseline).factors, baseline).treatments == treatments
+
+
+def test_a_baseline_has_a_treatment_of_each_conditional_factor_that_applies() -> None:
+    with pytest.raises(DesignError) as raised:
+        conditional(Sensor="camera", Width=640)
+    (finding,) = raised.value.findings
+    assert finding.problem == "the baseline has no treatment of Rate"
+    assert finding.fix == "Add it, such as 'Rate': 1."
 
 
 def test_a_missing_library_is_named_with_its_extra(monkeypatch: pytest.MonkeyPatch) -> None:

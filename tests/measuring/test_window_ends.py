@@ -98,6 +98,13 @@ def test_what_draws_nothing_beside_what_draws_much_is_doubted():
     assert problem.endswith("values may be off by 100 %")
 
 
+def test_a_phase_that_has_no_value_is_not_said_to_be_off():
+    load = Load(*BURST, times=every(0.1))
+    ends = WindowEnds(load.times, lambda window: {} if window == LIFT else load.evaluate(window), MEASURES)
+    told = [("samples leave out too much of phase 'lift' for a value", ["Energy", "MeanPower"])]
+    assert list(ends.doubts_about_phase("lift", [LIFT])) == told
+
+
 def test_a_percentage_is_doubted_from_a_point_on():
     def doubts(busy):
         times = every(0.1)

@@ -22,6 +22,7 @@ parser.add_argument("--fails", action="store_true")
 parser.add_argument("--leaves-child")
 parser.add_argument("--mutters", action="store_true")
 parser.add_argument("--watts", default="5.0")
+parser.add_argument("--ahead", type=float, default=0.0)
 arguments = parser.parse_args()
 
 if arguments.fails:
@@ -46,7 +47,7 @@ def say(text: str) -> None:
 
 def say_row() -> None:
     now = time.time()
-    say(f"{now * 1000:.3f},{arguments.watts},20,{5000 * (now - begun):.3f},{os.getpid()}")
+    say(f"{(now + arguments.ahead) * 1000:.3f},{arguments.watts},20,{5000 * (now - begun):.3f},{os.getpid()}")
 
 
 try:

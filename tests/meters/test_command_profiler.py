@@ -97,6 +97,16 @@ def test_a_wall_clock_that_is_set_while_it_stamps_the_rows_is_told(tmp_path, mon
     assert any("the clock of the samples is known to 0.5" in problem for problem in problems(context))
 
 
+@pytest.mark.parametrize(
+    ("ahead", "told"), [(1.5, "1.5 s after"), (3600.0, "1 h 00 min after"), (-7200.0, "2 h 00 min before")]
+)
+def test_rows_that_are_stamped_by_a_wrong_clock_are_doubted_and_told_as_such(measure, ahead, told):
+    context = measure("--ahead", str(ahead), time=TimeColumn("time_ms", unit=0.001), period_s=PATIENT)
+    (problem,) = [each for each in problems(context) if "stamped" in each]
+    assert problem == f"rows are stamped {told} they arrived: by another clock, time zone or unit"
+    assert not [each for each in problems(context) if "set back" in each]
+
+
 def test_the_output_may_be_a_file(measure):
     context = measure("--output", "{output}", output="meter.csv")
     assert context.measures["CPU"] == pytest.approx(20.0)

@@ -174,6 +174,10 @@ def test_processes_that_a_run_may_start_refuse_no_experiment_before_it():
     ]
 
 
+def test_a_form_that_looks_once_a_second_is_probed_for_more_than_two_looks():
+    assert PsUtil(host="pi@robot", form="ps").probe_s > 2 > PsUtil(host="pi@robot").probe_s
+
+
 def test_each_process_and_each_core_has_measures_of_its_own():
     plugin = PsUtil(host="localhost", processes=["move_base", 4711, "node:/talker"], cores=[0, 3])
     assert [measure.name for measure in plugin.measures] == [

@@ -19,7 +19,7 @@ from tests.command_line import PROGRAM
 from tests.process.conftest import kill_together, wait_until
 
 from robot_runner.core.config.preparation import prepare
-from robot_runner.core.execution.before_first_run import folder_refusals
+from robot_runner.core.execution.before_first_run import folder_findings
 from robot_runner.core.storage.shared_claims import hold_against_users
 
 if TYPE_CHECKING:
@@ -146,7 +146,7 @@ def test_who_may_not_read_the_files_of_an_experiment_in_a_shared_folder_is_told_
     assert experiment is not None
 
     def told() -> list[str]:
-        return [each.problem for each in folder_refusals(experiment)]
+        return [each.problem for each in folder_findings(experiment)]
 
     assert told() == []
     assert as_stranger(told) == ["the file cannot be read: Permission denied"]

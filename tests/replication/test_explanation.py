@@ -113,6 +113,22 @@ def test_where_the_journal_has_no_end_of_a_run_the_quality_of_its_values_is_not_
     assert _facts(copy, "r_2", "Energy")[1]["Quality"].startswith("not known: the journal has no end of this run")
 
 
+def test_of_a_run_that_the_table_had_as_done_nothing_is_said_of_who_executed_it_where_and_when(tmp_path):
+    config, folder = tmp_path / "changing.py", tmp_path / "results" / "changing"
+    config.write_text(CHANGING, encoding="utf-8")
+    folder.mkdir(parents=True)
+    (folder / "run_table.csv").write_text("run_id,status,Task,Score\nold,Done,Video,7.5\nnew,-,Network,\n", "utf-8")
+    with own_modules():
+        execute_experiment(prepare(config).experiment, SilentObserver())
+    shared = dict(explain_run(folder, "old").facts)
+    assert set(shared) == {"Status", "Place", "Executed"}
+    assert shared["Executed"] == "not here: the run table had it as done, and where and by what is not known"
+    value, facts = _facts(folder, "old", "Score")
+    assert (value.value, set(facts)) == (7.5, {"From"})
+    assert _facts(folder, "new", "Score")[1]["Published"] == "in attempt 1 (journal.jsonl)"
+    assert "Host" in dict(explain_run(folder, "new").facts)
+
+
 def test_a_folder_without_config_is_explained_as_far_as_it_goes(tmp_path):
     two_tasks(tmp_path / "made", (1.0, 2.0), (3.0, 4.0), name="made")
     value, facts = _facts(tmp_path / "made", "r_1", "Energy")

@@ -18,13 +18,16 @@ import pytest
 from tests.analysis.experiment_folders import two_tasks
 from tests.analysis.importing.foreign_folder import make_earlier_folder
 from tests.linked_environment import is_locked_environment
-from tests.replication.small_experiment import RUNS, SECRET, home
+from tests.replication.small_experiment import CHANGING, RUNS, SECRET, home, own_modules
 
 from robot_runner.analysis.importing.adoption import adopt
 from robot_runner.analysis.importing.description import ImportDescription
 from robot_runner.analysis.importing.understanding import understand
 from robot_runner.core.config.authors import Author
+from robot_runner.core.config.preparation import prepare_or_refuse
 from robot_runner.core.errors import PackageError
+from robot_runner.core.execution.notices import SilentObserver
+from robot_runner.core.execution.orchestrator import execute_experiment
 from robot_runner.core.storage.lock import ExperimentLock
 from robot_runner.replication.about import About, readme
 from robot_runner.replication.contents import Contents, choose_contents, fault_of_name
@@ -235,10 +238,25 @@ def test_results_that_were_imported_are_not_said_to_be_executed_with_robot_runne
     assert "imported into Robot Runner" in told
     assert "nobody can execute it again" in told
     assert "robot-runner replicate" not in told
+    (undone,) = [each for each in packed.findings if "are not done" in each.problem]
+    assert undone.fix == "Say why where you publish it."
     crate = json.loads(_text(packed.path, "ro-crate-metadata.json"))["@graph"]
     (action,) = (each for each in crate if each["@type"] == "CreateAction")
     assert action["name"] == "Import of earlier"
     assert action["actionStatus"].endswith("CompletedActionStatus")
+
+
+@pytest.mark.long
+def test_runs_that_the_table_had_as_done_are_no_actions_by_the_config(tmp_path):
+    config, folder = tmp_path / "changing.py", tmp_path / "results" / "changing"
+    config.write_text(CHANGING, encoding="utf-8")
+    folder.mkdir(parents=True)
+    (folder / "run_table.csv").write_text("run_id,status,Task,Score\nold,Done,Video,7.5\nnew,-,Network,\n", "utf-8")
+    with own_modules():
+        execute_experiment(prepare_or_refuse(config), SilentObserver())
+    crate = json.loads(_text(_pack(folder, tmp_path / "ours.zip").path, "ro-crate-metadata.json"))["@graph"]
+    actions = {each["name"] for each in crate if each["@type"] == "CreateAction"}
+    assert actions == {"Execution of changing", "Run new"}
 
 
 @pytest.mark.long

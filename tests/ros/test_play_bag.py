@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import importlib.util
+import io
 import os
 import shlex
 import shutil
@@ -27,6 +28,7 @@ from robot_runner.core.links.robot import Encoding, GraphEndpoint, Qos
 from robot_runner.core.plugin import Circumstances
 from robot_runner.plugins import treatment
 from robot_runner.ros.bag_file import new_bag
+from robot_runner.ros.bag_player import ProgramPlayer
 from robot_runner.ros.link_opening import open_dds_link, open_ros1_link
 from robot_runner.ros.play_bag import PlayBag
 from robot_runner.ros.recorded_bag import RecordedBag
@@ -472,6 +474,27 @@ def test_rosbag_play_plays_it_and_its_end_ends_the_mission(tmp_path, master_uri,
     assert measure.description == "From the bag's first message until the program that played it had ended."
     assert 0.3 < measures["PlayTime"] == pytest.approx(context.window.duration - 0.1, abs=0.1)
     assert not context.broker.findings
+
+
+def test_the_window_begins_before_the_first_message_that_a_program_plays(tmp_path, scans):
+    class Graph:
+        def subscribe_raw(self, topic, message_type, callback):
+            self.callback = callback
+            return io.BytesIO()  # to be closed
+
+    graph, begun = Graph(), []
+
+    def begin_window():
+        begun.append(time.monotonic())
+        if len(begun) == 3:
+            graph.callback(b"")
+
+    with RecordedBag(scans["bag"]) as bag:
+        topics = bag.chosen(["/scan"])
+    player = ProgramPlayer(["sleep", "60"], Encoding.ROS1, tmp_path, SystemClock())
+    with closing(player):
+        player.await_first(graph, topics, begin_window)
+    assert len(begun) == 3  # never once it has come: it and those until the next look would be missing from the window
 
 
 @pytest.mark.parametrize(

@@ -136,6 +136,22 @@ def test_answers_that_seem_to_take_no_time_are_told_where_they_are_many(measure,
 
 
 @pytest.mark.parametrize(
+    ("is_answered", "is_told"),
+    [
+        (lambda number: number > 6, True),  # a node that discovers the sensor late
+        (lambda number: number > 6 and number % 5, True),  # the same, which drops some
+        (lambda number: number > 2, False),  # a filter that begins with the third scan
+        (lambda number: number % 5 == 0, False),  # a node that answers every fifth
+    ],
+)
+def test_a_node_that_begins_to_answer_late_is_told_from_one_that_drops_messages(measure, is_answered, is_told):
+    measures, context = measure(lambda number, send: send(0.01, number) if is_answered(number) else None)
+    assert measures["NearUnanswered"] >= 2
+    problems = " ".join(finding.problem for finding in context.broker.findings)
+    assert ("none of the first 6 messages on scan has an answer" in problems) == is_told
+
+
+@pytest.mark.parametrize(
     ("answer", "types", "problem"),
     [
         (lambda _, send: send(0.01, 77), (SCAN, SCAN), "has the stamp of one on scan"),

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import threading
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -84,6 +86,24 @@ def test_sleeping_in_a_callback_is_refused_with_a_fix():
     with pytest.raises(LinkError, match="sleep in the mission"):
         clock.sleep(1)
     assert clock.now() == 0.1
+
+
+def test_a_second_thread_that_sleeps_meanwhile_is_refused_by_its_name():
+    clock, caught = SimulatedClock(), []
+
+    def sleep():
+        with pytest.raises(LinkError, match="threads MainThread and lamp slept") as error:
+            clock.sleep(1)
+        caught.append(error)
+
+    def start():
+        thread = threading.Thread(target=sleep, name="lamp")
+        thread.start()
+        thread.join()
+
+    clock.after(0.1, start)
+    clock.sleep(1)
+    assert caught
 
 
 def test_after_a_callback_that_failed_the_clock_goes_on():

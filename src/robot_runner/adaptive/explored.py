@@ -16,7 +16,7 @@ from robot_runner.core.design.design import IsAllowed
 from robot_runner.core.design.factor import Combination, Factor, factor_places
 from robot_runner.core.design.numeric_range import is_number, is_whole
 from robot_runner.core.design.planned_runs import RunOrder, arranged
-from robot_runner.core.errors import Finding, did_you_mean
+from robot_runner.core.errors import DesignError, Finding, did_you_mean
 from robot_runner.core.words import INACTIVE, counted, enumerated, listed
 
 #: Larger values are refused, as their squares would overflow.
@@ -272,6 +272,11 @@ class SearchedSpace:
                 fitted[place] = self.active[place]
         return tuple(fitted)
 
+    def where_it_applies(self, combination: Combination) -> Combination:
+        """Return a combination of treatments that are known here, without those of factors that do not apply."""
+        places = zip(self._place_of, combination.treatments, strict=True)
+        return self.combination(self._fitted([own[str(each)] for own, each in places]))
+
     def spread(self, count: int, seed: str) -> list[Places]:
         """Return `count` combinations, spread over the space, or all that are allowed if these are fewer.
 
@@ -341,16 +346,33 @@ def baseline_findings(where: str, factors: Sequence[Factor], baseline: Mapping[s
             problem = f"the baseline has {treatment!r}, which is not a treatment of {name}"
             yield Finding.error(where, problem, whole.suggestion(treatment))
     for factor in factors:
-        if factor.name not in baseline and len(factor.treatments) > 1:
-            problem = f"the baseline has no treatment of {factor.name}"
-            yield Finding.error(where, problem, f"Add it, such as {factor.name!r}: {factor.treatments[0]!r}.")
+        if factor.name not in baseline and len(factor.treatments) > 1 and not factor.when:
+            yield _left_out(where, factor)
+
+
+def _left_out(where: str, factor: Factor) -> Finding:
+    problem = f"the baseline has no treatment of {factor.name}"
+    return Finding.error(where, problem, f"Add it, such as {factor.name!r}: {factor.treatments[0]!r}.")
 
 
 def baseline_of(factors: Sequence[Factor], baseline: Mapping[str, Any]) -> Combination:
-    """Return the combination of a valid baseline; factors with one treatment may be left out."""
+    """Return the combination of a baseline without findings, in which factors that do not apply have no treatment.
+
+    Factors with one treatment may be left out, and conditional ones that do not apply.
+
+    Raises:
+        DesignError: a conditional factor that applies is left out.
+    """
     treatments = []
     for factor in factors:
         whole = factor.with_treatments(settings(factor))
         place = whole.position_of(baseline.get(factor.name, factor.treatments[0])) or 0
         treatments.append(whole.treatments[place])
-    return Combination(factor_places(factor.name for factor in factors), tuple(treatments))
+    given = Combination(factor_places(factor.name for factor in factors), tuple(treatments))
+    found = SearchedSpace(factors, lambda _: True).where_it_applies(given)
+    DesignError.refuse(
+        _left_out("design", factor)
+        for factor in factors
+        if factor.when and factor.name not in baseline and found[factor.name] is not INACTIVE
+    )
+    return found

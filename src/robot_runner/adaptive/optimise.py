@@ -162,7 +162,7 @@ class Optimise:
         """Return the first combinations of the search.
 
         Raises:
-            DesignError: all are excluded, or the baseline is.
+            DesignError: all are excluded, or the baseline is, or it lacks a treatment of a conditional factor.
         """
         space = SearchedSpace(factors, is_allowed)
         first = space.spread(self._start(factors), f"{self.seed} start")

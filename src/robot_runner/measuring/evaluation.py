@@ -190,12 +190,18 @@ class WindowEnds:
         seconds = math.fsum(window.duration for window in windows)
         ends = [end for window in windows for end in self._ends(window)]
         shares: dict[str, float] = {}
+        unknown: list[str] = []
         for measure in self._measures:
-            size = math.fsum(abs(self._rate(measure, each) or 0.0) * each.duration for each in windows)
+            rates = [self._rate(measure, each) for each in windows]
+            size = math.fsum(abs(rate or 0.0) * each.duration for rate, each in zip(rates, windows, strict=True))
             off = math.fsum(self._off(measure, end) for end in ends)
             is_little = measure.unit == "%" and off <= _OFF_POINTS * seconds
-            if off > _OFF_SHARE * size and not is_little:
+            if off and None in rates:
+                unknown.append(measure.name)
+            elif off > _OFF_SHARE * size and not is_little:
                 shares[measure.name] = min(1.0, off / size) if size else 1.0
+        if unknown:
+            yield f"samples leave out too much of {what} for a value", unknown
         if shares:
             apart, most = max(end.apart for end in ends), 100 * max(shares.values())
             between = f"{what} begins and ends between samples that are {apart:.3g} s apart, and much changes there"

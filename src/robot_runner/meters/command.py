@@ -31,6 +31,7 @@ from robot_runner.meters.command_output import (
     TimeColumn,
     TimeKind,
     csv_cell,
+    misplaced_rows,
     parse_csv,
     repeated_rows,
     row_times,
@@ -59,6 +60,7 @@ class Measured:
         sampled: from the start of the measurement to its stop.
         ending: how the meter ended.
         other: records that are no rows.
+        received: when each row arrived, s on the run's clock.
     """
 
     rows: Sequence[Row]
@@ -67,6 +69,7 @@ class Measured:
     sampled: Window
     ending: Ending
     other: Sequence[str] = ()
+    received: Sequence[float] = ()
 
 
 class CommandProfiler(Profiler):
@@ -269,6 +272,8 @@ class CommandProfiler(Profiler):
         if self._time is None and measured.times and measured.times[0] > measured.sampled.end:
             kept = f"the program kept its {len(measured.rows)} rows back until it ended"
             yield f"{kept}: have it flush each (such as by `stdbuf -oL`), or name their times"
+        if self._clock_step is not None:
+            yield from misplaced_rows(measured.times, measured.received, self.period_s + self._clock_step)
         if not measured.rows and len(measured.other) > 1:
             none = f"none of {len(measured.other)} lines of its output is a row, such as {measured.other[-1][:40]!r}"
             yield f"{none} (cells as in the heading, decimal points)"
@@ -301,7 +306,7 @@ class CommandProfiler(Profiler):
                 first = f", the first {texts[0]!r}" if texts else ""
                 problem = f"{len(missing)} of {len(told)} rows hold no number in column {column.source!r}{first}"
                 yield column.measure.name, problem
-            elif column.aggregate in _COUNTERS and column.value(measured.times, measured.rows, window) is None:
+            elif told and column.aggregate in _COUNTERS and column.value(measured.times, measured.rows, window) is None:
                 yield column.measure.name, f"the counter in column {column.source!r} was set back: no value"
 
     def _doubts_about_sums(self, measured: Measured) -> Iterator[tuple[str, str]]:
@@ -342,7 +347,7 @@ class CommandProfiler(Profiler):
         received = [record.received_at for row, record in told if row is not None]
         other = [record.text for row, record in told if row is None and record.text.strip()]
         times = row_times(rows, received, self._time, utc_offset=self._utc_offset)
-        return Measured(rows, times, window, sampled, ending, other)
+        return Measured(rows, times, window, sampled, ending, other, received)
 
     def _write(self, folder: Path, measured: Measured) -> None:
         sources = dict.fromkeys(column.source for column in self.columns)
@@ -360,11 +365,8 @@ class CommandProfiler(Profiler):
             return False
 
     def _missing_programs(self, *programs: str) -> list[Finding]:
-        missing = [program for program in programs if shutil.which(program) is None]
-        return [
-            Finding.error(f"plugin {self.name}", f"the program {program!r} is not there", self._install)
-            for program in missing
-        ]
+        problems = (f"the program {each!r} is not there" for each in programs if shutil.which(each) is None)
+        return [Finding.error(f"plugin {self.name}", problem, self._install) for problem in problems]
 
     def _output_file(self, folder: Path) -> Path | None:
         return folder / self.output if self.output else None

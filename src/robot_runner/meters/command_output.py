@@ -12,6 +12,7 @@ from itertools import accumulate, groupby, pairwise
 from robot_runner.core.errors import PluginError
 from robot_runner.core.events.measure import Measure, Over
 from robot_runner.core.events.window import Window
+from robot_runner.core.words import shown_duration
 from robot_runner.measuring.device_clock import fit_clock
 from robot_runner.measuring.series import Series, cut, growth, mean_of_intervals
 
@@ -25,6 +26,8 @@ Parse = Callable[[Sequence[str]], Sequence[Row | None]]
 _AT_ONCE = 0.1
 #: Stamps in whole units from this on, s, may be far from the time at which their rows were taken.
 _COARSE = 0.1
+#: By how much a stamp may be late for having been rounded, and for how long a program may keep a row back, s.
+_ROUNDED, _LONGEST_DELAY = 0.1, 60.0
 #: How often a repeated row usually comes.
 _TWICE = 2
 
@@ -215,6 +218,24 @@ def repeated_rows(times: Sequence[float], rows: Sequence[Row]) -> int:
     apart = (times[-1] - times[0]) / len(times) if times else 0.0
     pairs = zip(pairwise(times), pairwise(rows), strict=True)
     return sum(left == right and later - sooner <= _AT_ONCE * apart for (sooner, later), (left, right) in pairs)
+
+
+def misplaced_rows(times: Sequence[float], received: Sequence[float], tolerance: float) -> Iterator[str]:
+    """Yield a doubt where a row was stamped after it arrived, or each one more than a minute before.
+
+    Args:
+        times: when the rows were taken by their stamps, s on the run's clock.
+        received: when they arrived.
+        tolerance: by how much a stamp may be late, s, beside its rounding.
+
+    Example:
+        >>> list(misplaced_rows([2.0, 3.0], [1.0, 1.5], tolerance=0.1))
+        ['rows are stamped 1.5 s after they arrived: by another clock, time zone or unit']
+    """
+    most = max((time - arrival for time, arrival in zip(times, received, strict=True)), default=0.0)
+    if most > max(tolerance, _ROUNDED) or most < -_LONGEST_DELAY:
+        how = f"{shown_duration(abs(most))} {'after' if most > 0 else 'before'}"
+        yield f"rows are stamped {how} they arrived: by another clock, time zone or unit"
 
 
 def parse_csv(records: Sequence[str], *, delimiter: str = ",", comment: str = "#") -> list[Row | None]:

@@ -112,6 +112,8 @@ class PsUtil(Profiler):
         self.measures = (*type(self).measures, *self.selection.measures())
         started = tuple(one for one in self.selection.processes if not one.startswith("pid:"))  # perhaps by a run
         self.not_probed = [measure.name for measure in Selection(started).measures()]
+        if form == "ps":  # it looks once a second
+            self.probe_s = 3.0
         line = _SAMPLE_BYTES + _CORES * _CORE_BYTES + len(self.selection.processes) * _PROCESS_BYTES
         self.bytes_per_run = round(line * rate_hz * _MISSION)
         self._link: HostLink | None = None

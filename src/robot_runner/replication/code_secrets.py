@@ -9,7 +9,7 @@ import tokenize
 from collections.abc import Iterable, Iterator
 from itertools import accumulate
 
-from robot_runner.core.config.source import parsed
+from robot_runner.core.config.source import name_of, tree_or_empty
 from robot_runner.core.secret_names import is_placeholder, is_secret_name
 from robot_runner.replication.named_secrets import Grammar, is_secret_value, named_secrets
 from robot_runner.replication.secret_kinds import Found
@@ -34,7 +34,7 @@ def secrets_in_code(text: str) -> set[str]:
         >>> sorted(secrets_in_code('wifi_password = "swordfish"; connect(token="open-sesame", user="ada")'))
         ['open-sesame', 'swordfish']
     """
-    values = {_text_of(value) for value in _secret_values(text)}
+    values = {_text_of(value) for value in _secret_values(tree_or_empty(text))}
     return {value for value in values if len(value) >= _SHORTEST and value.casefold() not in _COMMON}
 
 
@@ -44,36 +44,41 @@ def found_in_code(code: bytes) -> Iterator[Found]:
         text = code.decode("utf-8")
     except UnicodeDecodeError:
         return
+    tree = tree_or_empty(text)
     starts = [0, *accumulate(len(line) for line in code.splitlines(keepends=True))]
-    for node in _secret_values(text):
-        if node.end_lineno is not None and node.end_col_offset is not None:
-            start = starts[node.lineno - 1] + node.col_offset
-            end = starts[node.end_lineno - 1] + node.end_col_offset
-            yield Found(start, end, "password", start, _instead_of(node, code[start:end]))
-    for node in _listed_values(text):
-        start, end = (
-            starts[line - 1] + column
-            for line, column in ((node.lineno, node.col_offset), (node.end_lineno or 0, node.end_col_offset or 0))
-        )
+    for node in _secret_values(tree):
+        start, end = _span(node, starts)
+        yield Found(start, end, "password", start, _instead_of(node, code[start:end]))
+    for node in _listed_values(tree):
+        start, end = _span(node, starts)
         yield Found(start, end, "what may be a password", start, _instead_of(node, code[start:end]), is_sure=False)
-    yield from _in_texts(text, code, starts)
+    yield from _in_texts(tree, code, starts)
     yield from _in_comments(text, code, starts)
+
+
+def _span(node: ast.expr, starts: list[int]) -> tuple[int, int]:
+    """Return where a node begins and ends in the code, bytes, from where its lines start."""
+    # The parser gives each node an end, which its type leaves open.
+    end = starts[(node.end_lineno or node.lineno) - 1] + (node.end_col_offset or 0)
+    return starts[node.lineno - 1] + node.col_offset, end
 
 
 #: In a text of the code, such as one that names a database: `host=db user=ada password=X`.
 _SETTING = re.compile(rb"(?<![\w.?&-])(?P<name>[A-Za-z_][\w.-]*)=(?P<value>[^\s\"'`,;&<>\\(){}\[\]%$]{4,})")
+#: A line of YAML or INI in a text of the code: `password: X`. A mere word is what messages tell, as in `auth: failed`.
+_LINE = re.compile(
+    rb"(?:^|\\n|[\"'])[ \t]*(?:-[ \t]+)?(?P<name>[A-Za-z_][\w.-]*)[ \t]*[:=][ \t]*(?![A-Za-z]+(?:[\s\"'\\]|\Z))"
+    rb"(?P<value>[^\s\"'`,;&<>\\(){}\[\]%$]{4,})[ \t]*(?=\r?$|\\[rn]|[\"'])",
+    re.MULTILINE,
+)
 
 
-def _in_texts(text: str, code: bytes, starts: list[int]) -> Iterator[Found]:
-    try:
-        found = [node for node in ast.walk(parsed(text)) if isinstance(node, ast.Constant | ast.JoinedStr)]
-    except (SyntaxError, ValueError, RecursionError, MemoryError):
-        return
-    for node in found:
-        is_text = isinstance(node, ast.JoinedStr) or isinstance(getattr(node, "value", None), str)
-        if is_text and node.end_lineno is not None and node.end_col_offset is not None:
-            start = starts[node.lineno - 1] + node.col_offset
-            for match in _SETTING.finditer(code, start, starts[node.end_lineno - 1] + node.end_col_offset):
+def _in_texts(tree: ast.Module, code: bytes, starts: list[int]) -> Iterator[Found]:
+    described = {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)}  # docstrings
+    for node in ast.walk(tree):
+        if isinstance(node, ast.JoinedStr) or (isinstance(node, ast.Constant) and isinstance(node.value, str)):
+            forms = (_SETTING,) if id(node) in described else (_SETTING, _LINE)
+            for match in (each for form in forms for each in form.finditer(code, *_span(node, starts))):
                 name = match["name"].decode("ascii", "replace")
                 if is_secret_name(name) and is_secret_value(match["value"], name):
                     yield Found(*match.span("value"), "password", match.start())
@@ -85,24 +90,16 @@ def _instead_of(node: ast.expr, source: bytes) -> bytes:
     return (b"b" if is_bytes else b"") + quote + b"REDACTED" + quote
 
 
-def _secret_values(text: str) -> Iterator[ast.expr]:
+def _secret_values(tree: ast.Module) -> Iterator[ast.expr]:
     """Yield the nodes of values with a secret's name; f-strings only if their constant parts are long enough."""
-    try:
-        tree = parsed(text)
-    except (SyntaxError, ValueError, RecursionError, MemoryError):
-        return
     for node in ast.walk(tree):
         for target, value in _pairs(node):
             if isinstance(value, ast.expr) and is_secret_name(_name_of(target)) and _is_secret(value):
                 yield value
 
 
-def _listed_values(text: str) -> Iterator[ast.expr]:
+def _listed_values(tree: ast.Module) -> Iterator[ast.expr]:
     """Yield the texts in a list, or in a mapping without a secret's name in it, that has a secret's name."""
-    try:
-        tree = parsed(text)
-    except (SyntaxError, ValueError, RecursionError, MemoryError):
-        return
     for target, value in (pair for node in ast.walk(tree) for pair in _pairs(node)):
         listed: list[ast.expr] = []
         match value:
@@ -152,13 +149,8 @@ def _pairs(node: ast.AST) -> Iterable[_Pair]:
             pairs = zip(names, [*node.defaults, *node.kw_defaults], strict=True)
         case ast.Call(args=[ast.Constant(value=str()) as name, *others], keywords=keywords):
             given = [each.value for each in keywords if each.arg in {"default_value", "default", "value"}]
-            is_of_name = isinstance(node.func, ast.Attribute | ast.Name) and _called(node.func) in _WITH_DEFAULT
-            pairs = [(name, each) for each in [*given, *(others if is_of_name else ())]]
+            pairs = [(name, each) for each in [*given, *(others if name_of(node.func) in _WITH_DEFAULT else ())]]
     return pairs
-
-
-def _called(function: ast.Attribute | ast.Name) -> str:
-    return function.attr if isinstance(function, ast.Attribute) else function.id
 
 
 def _assigned(target: ast.expr, value: ast.expr) -> Iterator[_Pair]:
@@ -179,11 +171,11 @@ def _last_of_pair(name: str, value: ast.expr) -> list[ast.expr]:
 
 def _name_of(target: ast.AST | None) -> str:
     match target:
-        case ast.Name(id=name) | ast.Attribute(attr=name) | ast.Constant(value=str(name)):
+        case ast.Constant(value=str(name)):
             return name
         case ast.Subscript(slice=key):
             return _name_of(key)
-    return ""
+    return name_of(target)
 
 
 def _in_comments(text: str, code: bytes, starts: list[int]) -> Iterator[Found]:

@@ -95,6 +95,10 @@ class _Explaining:
             self._config = executed_config(self._files, self._execution)
             self._lines = ConfigLines(self._files.root, self._config, self._manifest.get("config") or {})
         self._imported = imported_facts(self._manifest)
+        self._is_done = self._row[STATUS] is RunStatus.DONE
+        ended = () if self._history.finished_at is None else (run_id,)
+        self._is_unrecorded = self._is_done and bool(unrecorded_runs([run_id], ended, self._manifest))
+        self._is_of_table = self._is_done and not self._is_unrecorded and not self._history.attempt
 
     def explain(self, names: Sequence[str]) -> RunExplanation:
         extra = {name: None for name in self._history.measures if name not in self._row}
@@ -145,8 +149,11 @@ class _Explaining:
             came = f"at {self._imported.get('at')} from {self._imported.get('table')} of {self._imported.get('from')}"
             yield "Imported", f"{came}: where and by what it was executed is not known"
             return
+        if self._is_of_table:
+            yield "Executed", "not here: the run table had it as done, and where and by what is not known"
+            return
         yield "Executed", self._executed()
-        yield from self._attempt_facts()
+        yield from history.attempts
         yield from history.steps
         if history.stopped:
             yield "Mission", history.stopped
@@ -177,13 +184,6 @@ class _Explaining:
             return f"{told}; {error.problem}"
         is_same = found.is_intact and found.sha256 == stated.get("sha256")
         return told if is_same else f"{told}; the file in the folder was changed since"
-
-    def _attempt_facts(self) -> Iterator[tuple[str, str]]:
-        history = self._history
-        if history.attempt:
-            yield "Attempt", f"{history.attempt}, {history.started_at} to {history.finished_at or 'no end'}"
-        for number, failure in history.failures.items():
-            yield f"Attempt {number}", failure
 
     def _order(self) -> str:
         design = self._manifest.get("design") or {}
@@ -273,16 +273,17 @@ class _Explaining:
         return f"{path} ({told}){f', called by {owner}' if owner else ''}"
 
     def _measure_facts(self, column: ColumnDescription) -> Iterator[tuple[str, str]]:
+        if self._is_of_table:
+            yield "From", f"{self._files.run_table.name}, which had it as the run was not executed here"
+            return
         published = self._history.measures.get(column.name, {})
         owner = str(published.get("owner") or column.owner)
         origin = str(published.get("origin") or column.origin or "")
         yield "Origin", _UNMEASURED.get(origin, origin)
         doubts = tuple(published.get("doubts", ())) if published else column.doubts.get(self._run_id, ())
-        is_done = self._row[STATUS] is RunStatus.DONE
-        ended = () if self._history.finished_at is None else (self._run_id,)
-        if is_done and unrecorded_runs([self._run_id], ended, self._manifest):
+        if self._is_unrecorded:
             yield "Quality", "not known: the journal has no end of this run, and is missing or older than the run table"
-        elif published or is_done:
+        elif published or self._is_done:
             yield "Quality", quality_text(self._row.get(column.name, published.get("value")), doubts)
         yield from self._owner_facts(owner, column.name)
         yield "Aggregation", column.description

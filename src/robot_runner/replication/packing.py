@@ -12,7 +12,7 @@ from typing import Any
 from robot_runner.core.errors import Finding, PackageError
 from robot_runner.core.secret_names import forms_of, is_secret_name, secrets_of_environment
 from robot_runner.core.storage.cells import RunStatus
-from robot_runner.core.storage.executed_runs import edited_findings, ended_runs, unrecorded_findings
+from robot_runner.core.storage.executed_runs import done_before, edited_findings, ended_runs, unrecorded_findings
 from robot_runner.core.storage.guarded_files import read_text, sha256_of
 from robot_runner.core.storage.input_files import read_index
 from robot_runner.core.storage.layout import ExperimentFolder, home_folder
@@ -23,7 +23,7 @@ from robot_runner.core.storage.run_table_rows import RunTableRows
 from robot_runner.core.storage.table_columns import ColumnDescription, TableLayout
 from robot_runner.core.storage.table_schema import read_schema
 from robot_runner.core.words import listed
-from robot_runner.replication.about import About, missing_text
+from robot_runner.replication.about import About, imported_facts, missing_text
 from robot_runner.replication.cleaning import Replaced
 from robot_runner.replication.code_secrets import secrets_in_code
 from robot_runner.replication.contents import DESCRIPTION, LICENCE, Contents, LeftOut, choose_contents, folders_of
@@ -111,6 +111,7 @@ def pack(
             manifest=manifest,
             columns=columns,
             rows=rows,
+            elsewhere=done_before(manifest, ended_runs(files.journal)),
             run_folders=run_folders,
             chosen=chosen,
             programs={f"config/{name}" for each in read_index(files.config) for name in each.get("programs", ())},
@@ -219,7 +220,9 @@ def _findings(
         yield Finding.warning(where, "there is no report in it", fix)
     statuses = statuses_that_count(rows)
     if undone := sum(each is not RunStatus.DONE for each in statuses):
-        yield Finding.warning(where, f"{undone} of {len(statuses)} runs are not done", "Resume the experiment first.")
+        is_ours = imported_facts(manifest) is None
+        fix = "Resume the experiment first." if is_ours else "Say why where you publish it."
+        yield Finding.warning(where, f"{undone} of {len(statuses)} runs are not done", fix)
     yield from unrecorded_findings(files.journal, rows.done_runs, ended_runs(files.journal), manifest)
     yield from edited_findings(files.journal, files.run_table, rows)
 

@@ -213,7 +213,7 @@ def _config(files: ExperimentFolder, manifest: Mapping[str, Any]) -> Path:
     name = (manifest.get("config") or {}).get("file")
     path = files.config / str(name)
     if not name or path.parent != files.config or not path.is_file():
-        problem = f"the config {name} is missing" if name else "there is no config: these results were made elsewhere"
+        problem = f"the config {name} is missing" if name else "there is no config"
         raise PackageError(problem, where=str(files.config), fix="Ask its authors for it.")
     if "seed" not in manifest:
         raise PackageError("the manifest has no seed", where=str(files.manifest), fix="Ask its authors for it.")

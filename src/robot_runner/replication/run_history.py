@@ -100,6 +100,13 @@ class RunHistory:
         if record.get("failure"):
             self.failures[self.attempt] = f"{record['status']}: {record['failure']}"
 
+    @property
+    def attempts(self) -> list[tuple[str, str]]:
+        """The last attempt, and how each failed or was interrupted: a heading and a text each."""
+        last = f"{self.attempt}, {self.started_at} to {self.finished_at or 'no end'}"
+        failed = [(f"Attempt {number}", failure) for number, failure in self.failures.items()]
+        return [("Attempt", last), *failed] if self.attempt else failed
+
     def _take_event(self, record: dict[str, Any]) -> None:
         if isinstance(record.get("clock"), int | float):
             self.clocks[str(record["event"])] = float(record["clock"])

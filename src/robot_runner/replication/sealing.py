@@ -77,6 +77,7 @@ class Sealing:
     Attributes:
         asked: the options.
         columns, rows: the run table's.
+        elsewhere: the runs that another tool executed, by the run table.
         run_folders: the run of each run folder in the package, by the folder's name, which ends with `/`.
         chosen: the files to pack.
         programs: the names of those that are executable.
@@ -93,6 +94,7 @@ class Sealing:
     manifest: Mapping[str, Any]
     columns: Sequence[ColumnDescription]
     rows: RunTableRows
+    elsewhere: Collection[str]
     run_folders: Mapping[str, str]
     chosen: Contents
     programs: Collection[str]
@@ -188,7 +190,7 @@ class Sealing:
             self.manifest,
             [stored[name] for name in sorted(stored)],
             columns=self.columns,
-            runs=executed_runs(self.rows, self.columns),
+            runs=[run for run in executed_runs(self.rows, self.columns) if run.run_id not in self.elsewhere],
             run_folders=self.run_folders,
         )
         folders = contents.folders_of(stored, self.run_folders)

@@ -111,7 +111,9 @@ def _keys() -> Iterator[Kind]:
     yield _kind(
         "private key", rb"---- BEGIN SSH2 ENCRYPTED PRIVATE KEY ----((?:\s|\\n).{0,65536}?)---- END SSH2", b"----begin"
     )
-    yield _kind("private key", rb"Private-Lines: *\d+\r?\n((?:[A-Za-z0-9+/=]+\r?\n?)+)", b"private-lines:")
+    newline = rb"(?:[\r\n]|\\[rn])"
+    putty = rb"Private-Lines: *\d+" + newline + rb"+((?:[A-Za-z0-9+/=]+" + newline + rb"*)+)"
+    yield _kind("private key", putty, b"private-lines:")
     yield _kind("private key", rb"\bAGE-SECRET-KEY-1[A-Z0-9]{50,}", b"age-secret-key-")
     yield _kind("SSH key", rb"\b(?:sk-)?(?:ssh-(?:rsa|dss|ed25519)|ecdsa-sha2-nistp\d+)(?:@openssh\.com)?\s+"
                 rb"(AAAA[A-Za-z0-9+/=]{20,})", b"ssh-", b"ecdsa-")  # fmt: skip

@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 from array import array
 from collections import defaultdict, deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -159,18 +159,27 @@ class ProgramPlayer:
         self._clock = clock
         self._process = MeterProcess(command, output=None, folder=folder, clock=clock)
 
-    def await_first(self, link: RobotLink, topics: Sequence[RecordedTopic]) -> None:
-        """Return once a message of one of these topics is received.
+    def await_first(self, link: RobotLink, topics: Sequence[RecordedTopic], begin_window: Callable[[], object]) -> None:
+        """Return once a message of one of these topics is received; `begin_window` is called until then.
+
+        So the window contains that message also for others who receive it a moment earlier, and those that follow
+        before this is noticed.
 
         Raises:
             PluginError: the program ended before that, or none came in time.
         """
         received = threading.Event()
+
+        def has_come() -> bool:
+            if not received.is_set():
+                begin_window()
+            return received.is_set()
+
         with ExitStack() as subscriptions:
             for topic in topics:
                 subscription = link.subscribe_raw(topic.name, topic.message_type, lambda _: received.set())
                 subscriptions.callback(subscription.close)
-            if self._process.wait(received.is_set, seconds=_STARTUP):
+            if self._process.wait(has_come, seconds=_STARTUP):
                 return
         program = PROGRAMS[self._encoding]
         if not self._process.is_running:

@@ -288,8 +288,8 @@ class PlayBag(RobotSystem):
             return
         command = playing(self._bag, self.topics, rate=self.rate, has_clock=self.has_clock)
         self._program = ProgramPlayer(command, self._bag.encoding, context.raw_data_folder, context.clock)
-        self._program.await_first(link, self._chosen)
-        context.begin_window()  # the program takes a second until it plays
+        # The program takes a second until it plays.
+        self._program.await_first(link, self._chosen, context.begin_window)
         begun = context.clock.now()
         self._doubt_rivals(context, link, allowed=1)  # the program itself
         self._program.play()

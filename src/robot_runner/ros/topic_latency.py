@@ -27,7 +27,14 @@ _EARLY = 0.001
 #: The share of answers that may be received no later than their causes without a finding. Messages that wait for a busy
 #: machine are received together, in any order.
 _TOGETHER = 0.05
+#: At the beginning, more messages than these without an answer are told where a node that drops as many later on would
+#: have them by chance with a probability below this. A filter may need a few messages to begin with.
+_FIRST, _BY_CHANCE = 2, 0.001
 _KEEP_STAMPS = "Have the node give its output the stamp of the input that it was made from."
+_AWAIT = (
+    "Await its first answer before the mission where the cause is published by then: "
+    "message_on({topic!r}, ...).wait(context, timeout_s=10) in start_run, or ready=message_on(...) of the software."
+)
 _LOOK_AT_GRAPH = "Check whether the node is alive and publishes there: ros2 topic info, or rostopic info."
 
 _KINDS: Mapping[str, tuple[str, str, Over | None]] = {
@@ -235,6 +242,10 @@ class TopicLatency(TopicProfiler):
                 "this machine cannot resolve the time between them"
             )
             yield topic, problem, "Take load from this machine, or have another process play the bag."
+        if first := _not_connected(latencies):
+            told = f"none of the first {first} messages on {self.topics[0]} has an answer"
+            why = "its node began to answer late, as one that has not discovered the other yet"
+            yield topic, f"{told}: {why}", _AWAIT.format(topic=topic)
 
     def _write(self, context: RobotRunnerContext, window: Window) -> None:
         folder = context.raw_data_folder
@@ -247,6 +258,14 @@ class TopicLatency(TopicProfiler):
             topic: {"messages": len(each.times), "problem": each.problem} for topic, each in self._received.items()
         }
         write_quality(folder / "quality.json", None, window, {"is_simulated": self._is_simulated, "topics": facts})
+
+
+def _not_connected(latencies: Sequence[tuple[float, float | None]]) -> int:
+    """Return how many messages have no answer before the first that has one; 0 if the node drops as many later on."""
+    answered = [latency is not None for _, latency in latencies]
+    first = answered.index(True) if any(answered) else 0
+    dropped = 1 - sum(answered) / len(answered[first:])
+    return first if first > _FIRST and dropped**first < _BY_CHANCE else 0
 
 
 def _measures(cause: str, labels: Mapping[str, str]) -> Iterator[Measure]:

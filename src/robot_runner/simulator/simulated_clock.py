@@ -146,7 +146,7 @@ class SimulatedClock:
         self._now_ns = 0
         self._due: list[tuple[int, int, Callable[[], None], Callable[[], None]]] = []
         self._scheduled = 0
-        self._is_moving_on = False
+        self._sleeper: threading.Thread | None = None
 
     @property
     def now_ns(self) -> int:
@@ -166,17 +166,19 @@ class SimulatedClock:
         """Sleep for this many simulated seconds; negative counts as zero.
 
         Raises:
-            LinkError: a callback of this clock sleeps on it.
+            LinkError: a callback of this clock sleeps on it, or another thread does at the same time.
         """
         if sleep_with_others(seconds):
             return
-        if self._is_moving_on:
-            raise LinkError(
-                f"a callback slept {seconds} s on the simulated clock during another sleep on it",
-                where="the simulated clock",
-                fix="Note the message in the callback and return; sleep in the mission.",
-            )
-        self._is_moving_on = True
+        sleeper, here = self._sleeper, threading.current_thread()
+        if sleeper is not None:
+            problem = f"a callback slept {seconds} s on the simulated clock during another sleep on it"
+            fix = "Note the message in the callback and return; sleep in the mission."
+            if sleeper is not here:
+                problem = f"the threads {sleeper.name} and {here.name} slept on the simulated clock at the same time"
+                fix = "Have one thread sleep on it, the mission's; what goes on beside it can subscribe to a topic."
+            raise LinkError(problem, where="the simulated clock", fix=fix)
+        self._sleeper = here
         try:
             target_ns = self._now_ns + max(0, round(seconds * _SECOND_NS))
             if self._real_time_factor is None:
@@ -184,7 +186,7 @@ class SimulatedClock:
             else:
                 self._move_in_pace(target_ns, self._real_time_factor)
         finally:
-            self._is_moving_on = False
+            self._sleeper = None
 
     def every(self, rate: int, callback: Callable[[], None]) -> Ticker:
         """Call `callback` `rate` times a second, on the grid."""

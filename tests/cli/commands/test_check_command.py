@@ -157,6 +157,47 @@ def assert_refused_alike(robot_runner: Callable, config: Path) -> None:
     assert errors == [line for line in checked.out.splitlines() if line.startswith("error:")]
 
 
+def test_of_a_table_by_hand_the_strange_treatments_are_told_before_the_first_run(
+    robot_runner: Callable, write_config: Callable[..., Path], tmp_path: Path
+) -> None:
+    write_config()
+    write_by_hand(tmp_path, "run_id,Task\nfirst,Vidoe\nsecond,Network\n")
+    answer = robot_runner("check", "config.py")
+    assert (answer.code, answer.err) == (0, "")
+    assert "run_table.csv, line 2, column 'Task': 'Vidoe' is not a treatment of factor 'Task'" in answer.out
+    assert "config.py can be executed, with 1 warning." in answer.out
+    assert ["Runs", "as", "in", "results/trial/run_table.csv,", "in", "its", "order"] in map(
+        str.split, answer.out.splitlines()
+    )
+    assert "as written" not in answer.out
+    assert not (tmp_path / "results" / "trial" / "journal.jsonl").exists()
+
+
+@pytest.mark.long
+def test_a_table_by_hand_with_which_a_plugin_cannot_be_built_is_refused_as_its_execution_is(
+    robot_runner: Callable, write_config: Callable[..., Path], tmp_path: Path
+) -> None:
+    table = """\
+    robot = "simulated"
+    plugins = [BasicTurtlebot3(speed=treatment("Speed"), task="video")]
+
+    def create_run_table(self):
+        return RunTableModel([Factor("Speed", [0.1, 0.2])])
+    """
+    config = write_config(table=table)
+    imports = "from robot_runner.plugins import treatment\nfrom robot_runner.plugins.systems import BasicTurtlebot3\n"
+    config.write_text(imports + config.read_text())
+    write_by_hand(tmp_path, "run_id,Speed\nfirst,0.1\nsecond,2.5\n")
+    assert_refused_alike(robot_runner, config)
+
+
+def write_by_hand(folder: Path, table: str) -> None:
+    """Write the run table of an experiment that has not begun."""
+    path = folder / "results" / "trial" / "run_table.csv"
+    path.parent.mkdir(parents=True)
+    path.write_text(table)
+
+
 @pytest.mark.long
 def test_of_an_experiment_that_is_being_executed_the_files_are_left_alone(
     robot_runner: Callable, executed: Path

@@ -98,6 +98,7 @@ def test_each_treatment_is_executed_once_and_what_it_proves_is_told(
     answer = robot_runner("smoke", "config.py")
     assert answer.code == 0
     assert "3 of 3 runs done, which have each treatment." in answer.out
+    assert "w_1" not in answer.out
     assert "Executed  Room: " in answer.out
     assert "Executed  Speed: " in answer.out
     assert "Doubtful  Way: " in answer.out

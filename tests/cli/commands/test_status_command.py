@@ -92,6 +92,7 @@ def test_json_holds_everything(robot_runner: Callable, half_done: Path) -> None:
         "excluded": {},
         "is_paused": False,
         "pause_is_requested": False,
+        "is_imported": False,
         "is_of_older_tool": False,
         "lacks_plan": False,
         "order": "",

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -21,7 +23,10 @@ CONTRASTS = st.builds(
     contrast=st.sampled_from([None, {"a": 1, "b": -1}, {"a": 1, "b": -0.5, "c": -0.5}]),
     within=st.none() | st.floats(0.1, 9),
 )
-HYPOTHESES = EFFECTS | CONTRASTS
+DIRECTED = st.builds(
+    Hypothesis, NAMES, measure=NAMES, factors=NAMES, contrast=st.just({"a": 1, "b": -1}), below=st.floats(-9, 9)
+)
+HYPOTHESES = EFFECTS | CONTRASTS | DIRECTED
 SPREADS = st.fixed_dictionaries({"interquartile_ranges": st.floats(0.1, 9)}) | st.fixed_dictionaries(
     {"median_deviations": st.floats(0.1, 9)}
 )
@@ -112,10 +117,14 @@ def test_names_that_the_design_lacks_are_found_with_the_nearest():
         ({"contrast": {0.1: 1, "0.1": 1, 0.2: -2}}, "a treatment has two weights"),
         ({"within": 0}, "within is 0"),
         ({"within": True}, "within is True"),
+        ({"below": True, "contrast": {"Video": 1, "Idle": -1}}, "below is True"),
+        ({"below": math.nan, "contrast": {"Video": 1, "Idle": -1}}, "below is nan"),
+        ({"below": 5}, "which difference is to be below 5"),
+        ({"below": 5, "within": 5, "contrast": {"Video": 1, "Idle": -1}}, "both within and below are given"),
         ({"factors": ["Task", "Speed"], "within": 5}, "a contrast or a bound is of one factor"),
     ],
 )
-def test_a_contrast_is_one_and_a_bound_lies_above_0(claim, problem):
+def test_a_contrast_and_a_bound_have_to_be_testable(claim, problem):
     with pytest.raises(DesignError, match=problem):
         Hypothesis(**{"statement": "It does.", "measure": "Energy", "factors": "Task", **claim})
 

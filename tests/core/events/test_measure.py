@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robot_runner.core.errors import MeasureError
-from robot_runner.core.events.measure import Measure, as_measure_value
+from robot_runner.core.events.measure import Measure, Over, as_measure_value
 
 
 @given(
@@ -131,3 +131,11 @@ def test_a_measure_that_cannot_be_is_refused_where_it_is_declared(given: dict[st
 )
 def test_what_is_not_plausible_is_told_as_it_is(value: float, told: str) -> None:
     assert Measure("MeanPower", "W", low=0.5, high=25.0).implausible(value) == told
+
+
+@pytest.mark.parametrize("over", Over)
+@pytest.mark.parametrize("low", [None, -5.0, 0.0, 4.0])
+def test_a_part_of_a_sum_or_of_a_maximum_may_be_less_than_the_least_of_the_whole(over, low):
+    may_be_less = over in {Over.SUM, Over.MAXIMUM} and low == 4.0
+    phase = Measure("Energy", "J", "Energy drawn.", over=over, low=low, high=30.0).in_phase("drive")
+    assert (phase.low, phase.high) == (None if may_be_less else low, 30.0)

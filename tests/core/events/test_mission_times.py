@@ -87,8 +87,18 @@ def test_outside_a_mission_there_is_nothing_to_narrow_and_no_phase(times):
 def test_a_window_that_has_ended_does_not_begin(times):
     times.begin()
     times.end_window()
-    with pytest.raises(PluginError, match="has ended already"):
+    with pytest.raises(PluginError, match="A mission has one window"):
         times.begin_window()
+
+
+def test_a_window_ends_where_it_was_ended_first(times, clock):
+    times.begin()
+    clock.sleep(3.0)
+    times.end_window()
+    clock.sleep(4.0)
+    times.end_window()  # as in a `finally`
+    times.end()
+    assert times.window() == Window(100.0, 103.0)
 
 
 def test_the_next_mission_begins_with_nothing(times, clock):

@@ -177,3 +177,15 @@ def test_a_folder_that_has_another_name_now_is_the_same_input(study: Path, monke
     (moved / "models/rover.xml").write_text("wider")
     (changed,) = input_changes([own], kept)
     assert changed.problem == "moved/models/rover.xml is another one than the runs before have read"
+
+
+def test_programs_of_one_folder_have_each_their_own_files(study: Path) -> None:
+    talker, echo = study / "talker.py", study / "echo.py"
+    for script in (talker, echo):
+        script.write_text(script.name)
+    inputs = [InputFile(study, (talker,)), InputFile(study, (echo,))]
+    kept = _keep(study, *inputs)
+    assert list(input_changes(inputs, kept)) == []
+    talker.write_text("louder")
+    (changed,) = input_changes(inputs, kept)
+    assert changed.problem == "study/talker.py is another one than the runs before have read"

@@ -72,6 +72,22 @@ def test_a_run_that_only_warms_up_is_not_fitted_on(robot_runner, experiment):
 
 
 @pytest.mark.long
+def test_doubtful_samples_that_a_model_is_fitted_on_are_told(robot_runner, experiment, tmp_path):
+    path = tmp_path / experiment / "run_table.schema.json"
+    schema = json.loads(path.read_text())
+    for field in schema["fields"]:
+        if field["name"] in {"Energy", "MeanPower", "Distance"}:
+            field["robot_runner:doubts"] = {"r_2": ["registers stood still for 20 s"], "w_1": ["cold"]}
+    path.write_text(json.dumps(schema))
+    answer = robot_runner("fit-power-model", experiment, "--phases", "none", "--json")
+    assert answer.json["fit"]["runs"] == ["r_1", "r_2", "r_3", "r_4", "r_5", "r_6"]
+    said = "warning: Ina219: what it measured in r_2 is doubtful: registers stood still for 20 s fix: Look"
+    assert " ".join(answer.err.split()).startswith(said)
+    assert answer.err.count("warning") == 1
+    assert robot_runner("fit-power-model", experiment, "--runs", "r_1,r_3").err == ""
+
+
+@pytest.mark.long
 def test_terms_and_runs_can_be_chosen_and_json_is_printed(robot_runner, experiment):
     answer = robot_runner(
         "fit-power-model", experiment, "--terms", "constant,motion:forward", "--runs", "r_2", "--json"

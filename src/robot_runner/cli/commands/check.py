@@ -28,7 +28,7 @@ from robot_runner.core.config.preparation import Preparation, prepare
 from robot_runner.core.design.batches import as_configured
 from robot_runner.core.design.precision import rule_in_words
 from robot_runner.core.errors import Finding, errors_first
-from robot_runner.core.execution.before_first_run import folder_refusals
+from robot_runner.core.execution.before_first_run import folder_findings
 from robot_runner.core.execution.probe import Probe, probe_experiment
 from robot_runner.core.secret_names import shown_settings
 from robot_runner.core.words import shown_value
@@ -51,7 +51,7 @@ def execute(arguments: Namespace) -> int:
         probe = probe_experiment(preparation.experiment) if arguments.probe and preparation.experiment else None
         if preparation.experiment is not None:
             of_probe = () if probe is None else probe.findings
-            preparation = _judged(preparation, (*folder_refusals(preparation.experiment), *of_probe))
+            preparation = _judged(preparation, (*folder_findings(preparation.experiment), *of_probe))
     if arguments.json:
         print_json(_as_json(arguments.config, preparation, probe))
     else:
@@ -72,17 +72,18 @@ def _print(console: UserConsole, config: str, preparation: Preparation, probe: P
     if experiment is None:
         console.tell(f"{config} is refused: {tally(preparation.findings)}.", style="bold")
         return
-    found = experiment.registration
+    found, files = experiment.registration, experiment.folder
+    table = files.run_table if files.run_table.exists() and not files.manifest.exists() else None
     doubts = f", with {tally(preparation.findings)}" if preparation.findings else ""
     console.tell(f"{config} can be executed{doubts}.", style="bold")
     print_facts(
         console,
         [
             ("Experiment", experiment.parameters.experiment_name),
-            ("Runs", in_words(experiment.model)),
+            ("Runs", in_words(experiment.model) if table is None else f"as in {shown_path(table)}, in its order"),
             ("Repeated", _repeated(experiment)),
             ("Intervals", _ASSUMED if experiment.parameters.repeat_until else ""),
-            ("Order", order_in_words(experiment.model)),
+            ("Order", order_in_words(experiment.model) if table is None else ""),
             ("Warm-up", warm_ups_in_words(experiment.model, experiment.model.plan())),
             ("Plugins", ", ".join(plugin.name for plugin in experiment.plugins) or "none"),
             ("Measures", measures_in_words(experiment.columns)),

@@ -72,8 +72,9 @@ def _tested(config: Path, settings: Mapping[str, str], folder: Path, *, plain: b
         return REFUSED
     plan = list(experiment.model.plan())
     chosen = covering_runs([run for run in plan if not run.is_warm_up])
-    only = Resumption(only=tuple(run.run_id for run in chosen))
-    execution = execute_on_screen(experiment, prepared.findings, plain=plain, resumption=only)
+    warm_ups = tuple(run.run_id for run in plan if run.is_warm_up)  # with `only` alone, they come before these runs
+    wanted = Resumption(only=tuple(run.run_id for run in chosen), skip=warm_ups)
+    execution = execute_on_screen(experiment, prepared.findings, plain=plain, resumption=wanted)
     result = result_of(experiment, plan, chosen, told)
     estimate = study_estimate(study.durations, experiment, chosen, result, told) if study.durations else study.duration
     with read_or_not():

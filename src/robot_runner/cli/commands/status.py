@@ -151,9 +151,13 @@ def _chosen(status: ExperimentStatus) -> str:
     return " ".join(f"--{option} {quote(each)}" for option, several in chosen.items() for each in several)
 
 
+_IMPORTED = "imported: the runs were executed elsewhere, and there is no config with which to go on"
+
+
 def _state(status: ExperimentStatus) -> str:
-    if status.is_of_older_tool:
-        return "another tool began it; `robot-runner run` with its config goes on, `robot-runner import` adopts it"
+    if status.is_of_older_tool or status.is_imported:
+        older = "another tool began it; `robot-runner run` with its config goes on, `robot-runner import` adopts it"
+        return _IMPORTED if status.is_imported else older
     if status.holder is None:
         if status.todo or status.failed or status.lacks_plan:
             return "not being executed; `robot-runner run` with its config resumes it"

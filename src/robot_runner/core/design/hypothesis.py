@@ -1,4 +1,4 @@
-"""Hypotheses: an effect, a contrast of means, or their equivalence."""
+"""Hypotheses: an effect, a contrast of means, their equivalence or non-inferiority."""
 
 from __future__ import annotations
 
@@ -19,7 +19,8 @@ class Hypothesis:
     """A statement that the experiment is to test.
 
     It claims that factors have an effect on a measure; with a contrast, that a weighted sum of the means of a factor's
-    treatments is not zero; with a bound, that a difference of two means is smaller than it (equivalence).
+    treatments is not zero; with a bound, that a difference of two means is smaller than it in size (equivalence), or
+    that the weighted sum is smaller than it (non-inferiority, and with the bound 0 a direction).
 
     Attributes:
         statement: the hypothesis in words.
@@ -27,6 +28,7 @@ class Hypothesis:
         factors: the factor whose effect it claims; several for an interaction.
         contrast: the weight of each treatment, of one factor; the weights sum up to zero. Others have none.
         within: the bound of equivalence, in the measure's unit; without a contrast the factor has two treatments.
+        below: the bound that the contrast is smaller than, in the measure's unit; it may be 0 or negative.
 
     Raises:
         DesignError: an attribute is empty or of a wrong type.
@@ -35,7 +37,7 @@ class Hypothesis:
         >>> Hypothesis("The task affects the energy of a mission.", measure="Energy", factors="Task").factors
         ('Task',)
         >>> Hypothesis("Video costs no more than 5 J.", measure="Energy", factors="Task",
-        ...            contrast={"Video": 1, "Idle": -1}, within=5).within
+        ...            contrast={"Video": 1, "Idle": -1}, below=5).below
         5.0
     """
 
@@ -44,6 +46,7 @@ class Hypothesis:
     factors: tuple[str, ...]
     contrast: Mapping[str, float] | None
     within: float | None
+    below: float | None
 
     def __init__(
         self,
@@ -53,12 +56,14 @@ class Hypothesis:
         factors: str | Sequence[str],
         contrast: Mapping[str, float] | None = None,
         within: float | None = None,
+        below: float | None = None,
     ) -> None:
         object.__setattr__(self, "statement", statement)
         object.__setattr__(self, "measure", measure)
         object.__setattr__(self, "factors", names_of(factors))
         where = f"hypothesis {statement!r}"
         findings = [*_text_findings(self), *names_findings(where, "factors", self.factors)]
+        findings += [*_bound_findings(where, contrast, within, below)]
         findings += _contrast_findings(where, self.factors, contrast, within)
         if not self.factors:
             findings.append(Finding.error(where, "the hypothesis names no factor", "Give factors=..."))
@@ -66,11 +71,17 @@ class Hypothesis:
         weights = None if contrast is None else {str(name): float(weight) for name, weight in contrast.items()}
         object.__setattr__(self, "contrast", weights)
         object.__setattr__(self, "within", None if within is None else float(within))
+        object.__setattr__(self, "below", None if below is None else float(below))
 
     @property
     def is_contrast(self) -> bool:
         """Whether it claims something of a weighted sum of means; else that its factors have an effect."""
         return self.contrast is not None or self.within is not None
+
+    @property
+    def has_bound(self) -> bool:
+        """Whether it claims that a weighted sum of means lies on one side of a bound, or within it."""
+        return self.within is not None or self.below is not None
 
     def treatment_findings(self, treatments: Mapping[str, Sequence[str]]) -> Iterator[Finding]:
         """Yield a problem for each contrast, or bound, that a design's treatments, by factor, leave untested.
@@ -97,6 +108,7 @@ class Hypothesis:
             "factors": list(self.factors),
             "contrast": None if self.contrast is None else dict(self.contrast),
             "within": self.within,
+            "below": self.below,
         }
         return {name: value for name, value in plain.items() if value is not None}
 
@@ -123,9 +135,19 @@ def _text_findings(hypothesis: Hypothesis) -> Iterator[Finding]:
             yield Finding.error(f"hypothesis {hypothesis.statement!r}", f"{name} is {value!r}", "Give a text.")
 
 
-def _contrast_findings(where: str, factors: tuple[Any, ...], contrast: object, within: object) -> Iterator[Finding]:
+def _bound_findings(where: str, contrast: object, within: object, below: object) -> Iterator[Finding]:
     if within is not None and not (is_number(within) and within > 0):
         yield Finding.error(where, f"within is {within!r}", "Give a bound above 0, in the measure's unit.")
+    if below is not None and not is_number(below):
+        yield Finding.error(where, f"below is {below!r}", "Give a bound in the measure's unit.")
+    elif below is not None and contrast is None:
+        fix = "Give the weight of each treatment, such as contrast={'Video': 1, 'Idle': -1}."
+        yield Finding.error(where, f"nothing says which difference is to be below {below!r}", fix)
+    if within is not None and below is not None:
+        yield Finding.error(where, "both within and below are given", "Give one of them, or two hypotheses.")
+
+
+def _contrast_findings(where: str, factors: tuple[Any, ...], contrast: object, within: object) -> Iterator[Finding]:
     if (contrast is not None or within is not None) and len(factors) > 1:
         yield Finding.error(where, "a contrast or a bound is of one factor, and several are named", "Name one factor.")
     if contrast is None:

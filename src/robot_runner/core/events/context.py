@@ -236,7 +236,7 @@ class RobotRunnerContext(ExperimentContext):
         self.times.begin_window()
 
     def end_window(self) -> None:
-        """End the measured window here instead of at the end of the mission.
+        """End the measured window here instead of at the end of the mission; where it has ended, nothing happens.
 
         Raises:
             PluginError: no mission is going on.

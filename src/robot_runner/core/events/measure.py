@@ -109,13 +109,14 @@ class Measure:
         return f"{exact(value)} {self.unit}".rstrip()  # exact: rounded, it might look plausible
 
     def in_phase(self, phase: str) -> Measure:
-        """Return the same measure for one phase of the mission.
+        """Return the same measure for one phase; a sum and a maximum may be less there than the least of a mission.
 
         Example:
             >>> Measure("Energy", "J", "Energy drawn.", over=Over.SUM).in_phase("navigate").name
             'Energy.navigate'
         """
-        return replace(self, name=f"{self.name}.{phase}", description=f"In phase {phase}: {self.description}")
+        low = None if self.over in {Over.SUM, Over.MAXIMUM} and (self.low or 0) > 0 else self.low
+        return replace(self, name=f"{self.name}.{phase}", description=f"In phase {phase}: {self.description}", low=low)
 
 
 def with_phases(measures: Sequence[Measure], phases: Sequence[str]) -> tuple[Measure, ...]:

@@ -180,7 +180,7 @@ class MissionTimes:
         self._narrow(0)
 
     def end_window(self) -> None:
-        """End the window here instead of at the end of the mission.
+        """End the window here instead of at the end of the mission; where it has ended, nothing happens.
 
         Raises:
             PluginError: no mission is going on.
@@ -234,11 +234,11 @@ class MissionTimes:
         self._check_going_on("window")
         if self._is_stopped:
             return  # it ended when the mission was stopped
-        if edge == 0 and self._narrowed[1] is not None:
-            raise PluginError(
-                "the window has ended already", where="window", fix="Call begin_window() before end_window()."
-            )
-        self._narrowed[edge] = self._now()
+        if self._narrowed[1] is None:
+            self._narrowed[edge] = self._now()
+        elif edge == 0:
+            fix = "A mission has one window: begin it before it ends, and measure several parts as phases."
+            raise PluginError("the window has ended already", where="window", fix=fix)
 
     def _check_going_on(self, where: str) -> None:
         if self._begun is None or self._ended is not None:

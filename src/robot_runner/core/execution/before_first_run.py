@@ -25,7 +25,7 @@ from robot_runner.core.execution.manifest_content import (
     resumed_manifest,
 )
 from robot_runner.core.execution.recovered_table import RecoveredTable
-from robot_runner.core.execution.resumption import ACCEPT, Resumption, config_changes
+from robot_runner.core.execution.resumption import ACCEPT, Resumption, config_changes, selected_places
 from robot_runner.core.execution.table_recovery import is_blank, recover_table
 from robot_runner.core.storage.guarded_files import make_experiment_folder, make_folder
 from robot_runner.core.storage.layout import ExperimentFolder
@@ -51,17 +51,20 @@ def made_folder(folder: ExperimentFolder) -> set[str]:
     return left_behind
 
 
-def folder_refusals(experiment: Experiment) -> tuple[Finding, ...]:
-    """Return the errors for which an execution in this folder would be refused; nothing is changed.
+def folder_findings(experiment: Experiment) -> tuple[Finding, ...]:
+    """Return the errors for which an execution in this folder would be refused, else what is odd in a table by hand.
 
-    There are none while it is executed, as its files change.
+    Nothing is changed. There are no findings while it is executed, as its files change.
     """
     folder = experiment.folder
     try:
         if folder.root.exists() and holder_of(folder.lock) is None and not is_damaged(folder.manifest):
             manifest, _ = begun_manifest(experiment, accept_changes=False)
             if not is_blank(folder.run_table):  # such a one, as a damaged manifest, is made anew
-                recover_table(experiment, manifest, Resumption())
+                recovered = recover_table(experiment, manifest, Resumption())
+                places = selected_places(recovered.rows, Resumption(), experiment.model.warm_up)
+                refuse_unfit_treatments(experiment, manifest, recovered, places, accept_changes=False)
+                return () if folder.manifest.exists() else recovered.findings
     except (ExecutionError, StorageError) as error:
         return error.findings
     return ()

@@ -57,6 +57,7 @@ class ExperimentStatus:
         excluded: why runs are left out, by id.
         is_paused: whether somebody paused it; `robot-runner continue` goes on.
         pause_is_requested: whether it is to pause before the next run.
+        is_imported: whether the results were executed elsewhere and imported: nothing can be executed here.
         is_of_older_tool: whether another tool executed what is there.
         repeated: until when combinations are repeated, and how often at least and at most; empty where they are not.
         precision: how precise the experiment was when it was looked at last, for each rule, in words.
@@ -90,6 +91,7 @@ class ExperimentStatus:
     excluded: Mapping[str, str] = field(default_factory=lambda: MappingProxyType({}))
     is_paused: bool = False
     pause_is_requested: bool = False
+    is_imported: bool = False
     is_of_older_tool: bool = False
     lacks_plan: bool = False
     order: str = ""
@@ -149,7 +151,8 @@ def status_of(files: ExperimentFolder, history: ExperimentHistory) -> Experiment
     decides = str((manifest.get("design", {}).get("facts") or {}).get("decides", ""))
     is_settled = history.is_decided or manifest.get("design", {}).get("source", "config") != "config"
     follows = "" if is_settled else HOW_OFTEN if repeated else WHICH_RUNS if decides else ""
-    left = history.left if holder is not None else _time_left(files, history, follows)
+    is_imported = manifest.get("origin") == "imported"
+    left = history.left if holder is not None or is_imported else _time_left(files, history, follows)
     done = [run for run, status in statuses.items() if status is RunStatus.DONE]
     # While it is executed, the end of a run may have been recorded since the journal was read.
     lost = () if holder is not None else unrecorded_findings(files.journal, done, history.ended, manifest)
@@ -182,6 +185,7 @@ def status_of(files: ExperimentFolder, history: ExperimentHistory) -> Experiment
         excluded=out,
         is_paused=goes_on and history.is_paused,
         pause_is_requested=holder is not None and is_requested(files.pause),
+        is_imported=is_imported,
         lacks_plan=history.lacks_plan,
         order=moved_in_words(moved_runs(list(statuses), history.executed), history.executed),
         repeated=repeated,

@@ -205,8 +205,7 @@ def kept_copy(path: Path) -> Path | None:
 def _copies(folder: Path, working: Path) -> Mapping[str, Path]:
     found: dict[str, Path] = {}
     for each in read_index(folder):
-        copy = _copy_of(each, working)
-        if copy is not None:
+        if (copy := _copy_of(each, working)) is not None:
             # In a package, `~` stands for the home folder of its authors.
             found |= {each["named"]: copy, str(_expanded(Path(each["at"]))): copy}
             found |= {str(folder / each["below"]): copy} if each["below"] is not None else {}
@@ -272,12 +271,13 @@ def input_changes(inputs: Sequence[InputFile], kept: Path) -> Iterator[Finding]:
     Raises:
         StorageError: the index cannot be read, or a file that is there.
     """
-    known = {each["named"]: each for each in read_index(kept)}
+    known = read_index(kept)
     for each in dict.fromkeys(inputs):
-        was = known.get(str(each.path))
-        if was is not None and _is_another(was, each):
+        same_path = [was for was in known if was["named"] == str(each.path)]  # as of several programs in one folder
+        if same_path and all(_is_another(was, each) for was in same_path):
             fix = "Undo the change, accept it (--accept-changes), or choose another experiment_name."
-            yield Finding.error(str(each.path), _change_in_words(was, each, kept), fix)
+            fewest = min((_change_in_words(was, each, kept) for was in same_path), key=len)
+            yield Finding.error(str(each.path), fewest, fix)
 
 
 def _is_another(was: KeptInput, each: InputFile) -> bool:

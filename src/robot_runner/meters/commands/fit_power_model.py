@@ -9,20 +9,23 @@ from __future__ import annotations
 
 import json
 from argparse import Namespace
-from collections.abc import Sequence
+from collections import defaultdict
+from collections.abc import Container, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 from rich.text import Text
 
 from robot_runner.cli.console import UserConsole, output, print_facts, print_json, shown_path
+from robot_runner.cli.findings import show_findings
 from robot_runner.cli.parser import Parser, UsageError, add_json, add_set, add_target
 from robot_runner.cli.target import folder_of_target
 from robot_runner.cli.templating import write_new_file
-from robot_runner.core.errors import did_you_mean
+from robot_runner.core.errors import Finding, did_you_mean
 from robot_runner.core.storage.cells import RunStatus
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.run_table_reading import read_described_table
+from robot_runner.core.storage.table_schema import read_schema
 from robot_runner.core.words import counted, listed, shown_duration
 from robot_runner.meters.power_model.power_model import PowerModel
 
@@ -72,6 +75,7 @@ def execute(arguments: Namespace) -> int:
     if arguments.out:
         text = json.dumps(model, indent=2, ensure_ascii=False) + "\n"
         write_new_file(Path(arguments.out).expanduser(), text, instead="Choose another name, or remove the old model.")
+    show_findings(tuple(_doubts(folder, {arguments.power, *plugins.values()}, model["fit"]["runs"])))
     if arguments.json:
         print_json(model)
     else:
@@ -98,6 +102,18 @@ def _chosen(done: Sequence[str], wanted: str | None) -> Sequence[str]:
                 f"no run {run_id!r} is done, or it is left out", where="robot-runner fit-power-model", fix=fix
             )
     return chosen or done
+
+
+def _doubts(folder: ExperimentFolder, plugins: Container[str | None], run_ids: Sequence[str]) -> Iterator[Finding]:
+    """Yield what makes values of these plugins doubtful in the runs of the fit, once for all of their measures."""
+    found = defaultdict[tuple[str, str], dict[str, None]](dict)
+    for column in read_schema(folder.schema):
+        for run_id in run_ids if column.owner in plugins else ():
+            for doubt in column.doubts.get(run_id, ()):
+                found[column.owner, doubt][run_id] = None
+    for (owner, doubt), runs in found.items():
+        fix = "Look at its samples, and leave out by --runs what is wrong: the model is fitted on these, too."
+        yield Finding.warning(owner, f"what it measured in {listed(runs)} is doubtful: {doubt}", fix)
 
 
 def _print(console: UserConsole, model: dict[str, Any], path: str | None) -> None:

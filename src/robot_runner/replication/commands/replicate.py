@@ -40,6 +40,7 @@ from robot_runner.core.execution.resumption import ACCEPT
 from robot_runner.core.secret_names import shown_assignments
 from robot_runner.core.storage.input_files import kept_copies
 from robot_runner.core.storage.layout import ExperimentFolder
+from robot_runner.replication.about import imported_facts
 from robot_runner.replication.commands.replication_plan import (
     make_sure,
     print_container,
@@ -130,6 +131,9 @@ def _replicate(arguments: Namespace) -> dict[str, Any]:
     arguments.package = arguments.package or only_package("replicate")
     with byte_progress("verifying") as progress:
         source = find_source(Path(arguments.package).expanduser(), progress)
+    if imported_facts(source.manifest) is not None:
+        problem = "there is no config: these results were made elsewhere"
+        raise PackageError(problem, where=str(arguments.package), fix="Ask its authors for it.")
     target = Path(arguments.to or f"{_harmless(source.experiment)}_replication").expanduser().resolve()
     source.refuse_target(target)
     _refuse_name(deviations.get("experiment_name", source.experiment))
