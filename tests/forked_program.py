@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-__all__ = ["MARK", "RUNS", "SIMULATES", "ForkedProgram"]
+__all__ = ["MARK", "RUNS", "SIMULATES", "ForkedProgram", "child_processes"]
 
 #: By this variable a test knows all processes of what it has started: 32 characters.
 MARK = "ROBOT_RUNNER_TEST_MARK"
@@ -92,6 +92,13 @@ class ForkedProgram(subprocess.Popen[Any]):
             if pid:
                 self._handle_exitstatus(status)
         return self.returncode
+
+
+def child_processes() -> set[int]:
+    """Return the children of this process that were not reaped; the processes that fork programs stay among them."""
+    import psutil  # noqa: PLC0415 - forked programs are to import it by themselves
+
+    return {child.pid for child in psutil.Process().children()}
 
 
 @cache
