@@ -96,7 +96,7 @@ class ForkedProgram(subprocess.Popen[Any]):
 
 def child_processes() -> set[int]:
     """Return the children of this process that were not reaped; the processes that fork programs stay among them."""
-    import psutil  # noqa: PLC0415 - forked programs are to import it by themselves
+    import psutil  # here, as forked programs are to import it by themselves
 
     return {child.pid for child in psutil.Process().children()}
 
