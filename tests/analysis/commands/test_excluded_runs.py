@@ -51,7 +51,7 @@ def test_excluded_runs_are_told_everywhere_and_are_in_no_statistics(robot_runner
     assert f"Excluded  r_2: {WHY}" in robot_runner("status", "config.py").out
     assert robot_runner("plan", "config.py", "--json").json["excluded"] == {"r_2": WHY}
     assert f"{WHY} (20" in dict(explain_run(folder, "r_2").facts)["Excluded"]
-    assert "Excluded  r_2 (`robot-runner explain` says why)" in robot_runner("run", "config.py").out
+    assert "Excluded  r_2 (`robot-runner explain RUN` says why)" in robot_runner("run", "config.py").out
 
     results = load_results(folder)
     assert len(results.runs) == len(results.done) == 7

@@ -200,7 +200,7 @@ def test_whose_value_is_missing_for_a_reason_is_not_told_to_give_one(execute: Ex
     body = "probe = False\nplugins = [Meter()]\ndef populate_run_data(self): return {'Energy': 1.0}"
     executed = execute(body, head=head, table=LIMITED.replace("data_columns=[", 'data_columns=["Power", '))
     advised = [each.fix for each in executed.finished.findings if each.problem == "Power has no value"]
-    assert advised == ["`robot-runner explain` gives the reasons."] * 2
+    assert advised == ["`robot-runner explain RUN` gives the reasons."] * 2
 
 
 #: On a robot of a graph that is simulated, one plugin measures this machine, and one the robot.

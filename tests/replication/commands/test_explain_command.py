@@ -32,6 +32,17 @@ def test_a_treatment_is_shown_as_the_run_table_has_it(robot_runner, write_config
     assert [each.splitlines()[0] for each in shown] == ["Speed  0.1  factor", "Speed  12345.678  factor"]
 
 
+def test_the_only_experiment_here_need_not_be_named(robot_runner, write_config):
+    write_config()
+    assert robot_runner("run", "config.py").code == 0
+    of_run = robot_runner("explain", "config.py", "r_1").out
+    assert robot_runner("explain", "r_1").out == of_run
+    assert robot_runner("explain", "r_1", "Energy").out == robot_runner("explain", "config.py", "r_1", "Energy").out
+    assert robot_runner("explain").out == robot_runner("explain", "config.py").out
+    assert "there is no run 'r_8'" in robot_runner("explain", "r_8").err
+    assert "there is no such file or folder" in robot_runner("explain", "r_8.zip").err
+
+
 def test_everything_is_explained_as_json(robot_runner, experiment):
     facts = robot_runner("explain", experiment, "r_1", "--json").json
     names = [each["name"] for each in facts["values"]]

@@ -41,9 +41,9 @@ def whereabouts(finished: ExperimentFinished, progress: Progress) -> list[tuple[
     if progress.gate_seconds >= 1:
         facts.append(("Waited", f"{shown_duration(progress.gate_seconds)} at gates"))
     if progress.bad_values:
-        facts.append(("Quality", f"{quality_in_words(progress.bad_values)} (`robot-runner explain` says why)"))
+        facts.append(("Quality", f"{quality_in_words(progress.bad_values)} (`robot-runner explain RUN` says why)"))
     if finished.excluded:
-        facts.append(("Excluded", f"{listed(finished.excluded)} (`robot-runner explain` says why)"))
+        facts.append(("Excluded", f"{listed(finished.excluded)} (`robot-runner explain RUN` says why)"))
     known = ((names, _UNMEASURED[origin]) for origin, names in progress.origins.items() if origin in _UNMEASURED)
     return facts + [("Origin", f"{', '.join(names)}: {how}") for names, how in known]
 

@@ -197,7 +197,7 @@ def missing_measures(experiment: Experiment, task: RunTask, outcome: RunOutcome)
         Finding.warning(
             f"{task.run_id}, {column.owner}",
             f"{column.name} has no value",
-            "`robot-runner explain` gives the reasons." if found and found.doubts else _fix(column.owner, has_log),
+            "`robot-runner explain RUN` gives the reasons." if found and found.doubts else _fix(column.owner, has_log),
         )
         for column, found in published.items()
         if column.owner != OPERATOR_OWNER  # a person is asked before some runs only

@@ -14,7 +14,7 @@ from rich.text import Text
 
 from robot_runner.cli.console import UserConsole, output, print_facts, print_folded, print_json
 from robot_runner.cli.parser import Parser, add_json, add_set, add_target
-from robot_runner.cli.target import folder_of_target
+from robot_runner.cli.target import folder_of_target, only_experiment, target_and_runs
 from robot_runner.core.storage.table_columns import ColumnRole
 from robot_runner.core.words import one_line, shown_treatment, shown_value
 
@@ -26,7 +26,7 @@ _MARKS = {"met": "+", "not met": "-"}
 
 def add_arguments(parser: Parser) -> None:
     """Add the command's arguments."""
-    add_target(parser)
+    add_target(parser, is_the_only_one=True)
     parser.add_argument(
         "run",
         metavar="RUN",
@@ -43,12 +43,13 @@ def add_arguments(parser: Parser) -> None:
 
 def execute(arguments: Namespace) -> int:
     """Print the origin of each value."""
-    if arguments.run is None:
+    if arguments.run is None and not _may_be_run(arguments.target):
         return _explain_badges(arguments)
-    folder = folder_of_target(arguments.target, arguments.set).root
+    words = [*filter(None, [arguments.run]), *arguments.names]
+    folder, (run, *names) = target_and_runs("explain", arguments.target, words, arguments.set)
     from robot_runner.replication.explanation import explain_run  # noqa: PLC0415 - for a quick --help
 
-    explanation = explain_run(folder, arguments.run, arguments.names)
+    explanation = explain_run(folder.root, run, names)
     if arguments.json:
         print_json(asdict(explanation))
     else:
@@ -56,12 +57,18 @@ def execute(arguments: Namespace) -> int:
     return 0
 
 
+def _may_be_run(target: str | None) -> bool:
+    path = Path(target or "")
+    return not (path.exists() or path.suffix or path.name != target)
+
+
 def _explain_badges(arguments: Namespace) -> int:
     from robot_runner.replication.badges import badges_of  # noqa: PLC0415 - for a quick --help
 
-    path = Path(arguments.target).expanduser()
+    target = arguments.target or only_experiment("explain")
+    path = Path(target).expanduser()
     is_config = path.suffix == ".py" or not path.exists()
-    name, lines = badges_of(folder_of_target(arguments.target, arguments.set).root if is_config else path)
+    name, lines = badges_of(folder_of_target(target, arguments.set).root if is_config else path)
     if arguments.json:
         print_json({"name": name, "badges": [{**asdict(line), "state": line.state.value} for line in lines]})
         return 0
