@@ -7,7 +7,7 @@ import subprocess
 import sys
 import threading
 import time
-from contextlib import closing
+from contextlib import ExitStack, closing, suppress
 from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
@@ -16,6 +16,8 @@ import pytest
 
 from robot_runner.core.errors import LinkError
 from robot_runner.core.events.context import SystemClock
+from robot_runner.core.links.commanded_topics import keep_commanding_zero
+from robot_runner.core.links.goal_cancelling import cancel_all_goals
 from robot_runner.core.links.robot import Qos
 from robot_runner.ros.link_opening import open_dds_link, open_ros2_link
 from robot_runner.testing.action_contract import faults_told
@@ -259,6 +261,38 @@ def test_a_command_that_is_not_taken_is_told_and_one_of_which_that_is_not_known_
             publisher.flush(1.0)
 
 
+#: Its author has not said whether goals may be cancelled.
+SERVER = """
+import sys, time
+import rclpy
+from rclpy.action import ActionServer
+from rclpy.executors import MultiThreadedExecutor
+from test_msgs.action import Fibonacci
+
+rclpy.init(domain_id=int(sys.argv[1]))
+node = rclpy.create_node("base")
+ActionServer(node, Fibonacci, "dig", lambda _: time.sleep(600))
+executor = MultiThreadedExecutor(2)
+executor.add_node(node)
+executor.spin()
+"""
+
+
+@pytest.mark.long
+def test_a_server_that_refuses_and_answers_that_there_was_no_error_is_told():
+    link = open_ros2_link({"domain": DOMAIN}, SystemClock())
+    with subprocess.Popen([sys.executable, "-c", SERVER, DOMAIN]) as server:
+        try:
+            until(lambda: "/dig" in link.actions())
+            link.send_goal("dig", "test_msgs/Fibonacci", {"order": 3})
+            with pytest.raises(LinkError, match="refuses to cancel its goals"):
+                cancel_all_goals(link, "/dig")
+        finally:
+            with suppress(LinkError):  # the same, in other words
+                link.close()
+            server.kill()
+
+
 LISTENER = """
 import rclpy, sys
 from geometry_msgs.msg import Twist
@@ -280,3 +314,35 @@ def test_a_subscriber_of_another_process_is_reached_however_seldom_it_acknowledg
                     assert link.advertise("cmd_vel", "geometry_msgs/Twist"), "Fast DDS asks each 3 s what was taken"
         finally:
             listener.kill()
+
+
+OURS = """
+import sys, time
+from robot_runner.core.events.context import SystemClock
+from robot_runner.ros.link_opening import open_ros2_link
+
+link = open_ros2_link({"domain": sys.argv[1]}, SystemClock())
+link.subscribe("cmd_vel", "geometry_msgs/Twist", lambda _: None)
+time.sleep(600)
+"""
+
+
+@pytest.mark.long
+def test_a_run_that_was_killed_while_it_subscribed_a_command_is_not_waited_for():
+    """Fast DDS lists it for 20 s, in which it acknowledges nothing."""
+
+    def subscribers():
+        return {each.node for each in link.subscribers("cmd_vel")}
+
+    with ExitStack() as stack:
+        robot, run = (
+            stack.enter_context(subprocess.Popen([sys.executable, "-c", each, DOMAIN])) for each in (LISTENER, OURS)
+        )
+        stack.callback(robot.kill)
+        stack.callback(run.kill)
+        link = stack.enter_context(closing(open_ros2_link({"domain": DOMAIN}, SystemClock())))
+        until(lambda: subscribers() >= {"/base", f"/robot_runner_{run.pid}"})
+        link.publish("cmd_vel", "geometry_msgs/Twist", {"linear": {"x": 0.2}})
+        run.kill()
+        run.wait()
+        assert keep_commanding_zero(link, [("cmd_vel", "geometry_msgs/Twist")]) == []

@@ -96,10 +96,13 @@ class GraphLink:
         self._is_closed = False
         self._closing_it: threading.Thread | None = None
         self._is_stopped = threading.Event()
+        self._stop_all = stop_all
         self._transport = transport = connect()
         self._goals = LinkGoals(transport.actions, transport.wait, self._check_open, has_threads=transport.has_threads)
         self.parameter_server: ParameterServer | None = getattr(transport, "parameter_server", None)
         self.answers: Callable[[str], bool] = getattr(transport, "answers", lambda _node: True)
+        if hasattr(transport, "rejoined"):
+            self.rejoined = partial(self._rejoined, transport.rejoined)
 
     @property
     def encoding(self) -> Encoding:
@@ -225,11 +228,7 @@ class GraphLink:
         return self._open(name, action_type, serve)
 
     def check_message(self, name: str, type_name: str, message: Message, *, is_goal: bool = False) -> None:
-        """Check that a message of a topic, or a goal of an action, follows its definition; nothing is sent.
-
-        Raises:
-            LinkError: it does not, or there is no such type.
-        """
+        """Raise a `LinkError` where a message of a topic, or a goal of an action, does not follow its definition."""
         plain, transport = plain_type(type_name), self._transport
         shape = transport.actions.types(plain).goal if is_goal else transport.types.shape(plain)
         completed(shape, message, where=self._name(name))
@@ -290,7 +289,7 @@ class GraphLink:
         do_all(
             [
                 self._goals.close,  # before the stop: the execution of a goal may drive the robot
-                partial(stop_all, driven_of(dict(advertised))),
+                partial(self._stop_all, driven_of(dict(advertised))),
                 self._is_stopped.set,
                 *(each.close for _, each in reversed(advertised)),
                 *(each.close for each in reversed(opened)),
@@ -298,6 +297,11 @@ class GraphLink:
                 self._raise_fault,
             ]
         )
+
+    def _rejoined(self, connect: Callable[[], Transport]) -> GraphLink:
+        other = GraphLink(connect, self.namespace)
+        other.graph, self._stop_all = self.graph, halt_all
+        return other
 
     def _name(self, given: str) -> str:
         name = full_name(self.namespace, given)
@@ -309,11 +313,7 @@ class GraphLink:
             raise link_closed(where)
 
     def _keep(self, name: str, open_it: Callable[[], _Kept], note: Callable[[_Kept], object]) -> _Kept:
-        """Open something that is closed with the link, and register it; this takes seconds on some graphs.
-
-        Raises:
-            LinkError: the link was closed meanwhile.
-        """
+        """Open and register what is closed with the link; raise a `LinkError` if that was closed meanwhile."""
         try:
             opened = open_it()
         except Exception as error:  # the client library's error on a graph that was left does not help

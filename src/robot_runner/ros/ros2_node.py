@@ -42,17 +42,19 @@ _lock = threading.Lock()
 _shared: dict[tuple[int, int | None, bool], GraphNode] = {}
 
 
-def join_graph(domain: int | None, *, use_sim_time: bool) -> GraphNode:
-    """Return this process's node on the graph of a domain; `GraphNode.leave` must be called once for each call.
+def join_graph(domain: int | None, *, use_sim_time: bool, is_shared: bool = True) -> GraphNode:
+    """Return a node on the graph of a domain, or the one that this process shares; leave it once for each call.
 
     Raises:
         LinkError: the domain cannot be joined.
     """
     key = (os.getpid(), domain, use_sim_time)  # a node does not survive a fork
     with _lock:
-        node = _shared.get(key)
+        node = _shared.get(key) if is_shared else None
         if node is None:
-            node = _shared[key] = GraphNode(domain, use_sim_time=use_sim_time, forget=lambda: _shared.pop(key, None))
+            node = GraphNode(domain, use_sim_time=use_sim_time, forget=lambda: is_shared and _shared.pop(key, None))
+            if is_shared:
+                _shared[key] = node
         node.users += 1
         return node
 

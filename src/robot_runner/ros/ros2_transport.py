@@ -7,6 +7,7 @@ import threading
 import time
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import ExitStack
+from functools import partial
 from typing import Any
 
 from rclpy.callback_groups import ReentrantCallbackGroup
@@ -65,6 +66,7 @@ class Ros2Transport:
         domain: DDS domain id; None for what ROS_DOMAIN_ID says.
         now_ns: the time that raw messages are stamped with.
         use_sim_time: whether the node follows the time on `/clock`.
+        is_shared: whether its node is that of the process.
 
     Raises:
         LinkError: the graph cannot be joined.
@@ -73,13 +75,16 @@ class Ros2Transport:
     has_threads = True
     encoding = Encoding.CDR
 
-    def __init__(self, domain: int | None, now_ns: Callable[[], int], *, use_sim_time: bool) -> None:
+    def __init__(
+        self, domain: int | None, now_ns: Callable[[], int], *, use_sim_time: bool, is_shared: bool = True
+    ) -> None:
+        self.rejoined = partial(Ros2Transport, domain, now_ns, use_sim_time=use_sim_time, is_shared=False)
         self.types = Ros2Types()
         self.actions = Ros2Actions(self)
         self._now_ns = now_ns
         self._lock = threading.Lock()
         self._clients: dict[tuple[str, str], _Client] = {}
-        self._node = join_graph(domain, use_sim_time=use_sim_time)
+        self._node = join_graph(domain, use_sim_time=use_sim_time, is_shared=is_shared)
         self._graph = Graph(self._node)
         self.topics, self.services, self.nodes = self._graph.topics, self._graph.services, self._graph.nodes
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
@@ -11,6 +13,11 @@ from robot_runner.core.links import commanded_topics
 from robot_runner.core.links.commanded_topics import keep_commanding_zero
 from robot_runner.core.links.robot import GraphEndpoint, Qos
 from robot_runner.testing import FakeClock
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from robot_runner.core.links.robot import RobotLink
 
 TOPIC, TWIST = "/cmd_vel", "geometry_msgs/Twist"
 
@@ -83,6 +90,96 @@ def test_a_robot_that_comes_to_count_as_gone_while_it_is_looked_for_is_told_to_b
 def test_where_a_robot_is_not_reached_all_subscribers_are_named_as_it_may_be_another_one(clock: FakeClock) -> None:
     with pytest.raises(LinkError, match=r"subscription is not reached within 1\d s \(subscribers: /base\)"):
         keep_commanding_zero(CutOff(clock, 3600.0), [(TOPIC, TWIST)])
+
+
+class Left(Told):
+    """A graph that lists a dead process of ours as a subscriber, which acknowledges nothing, and perhaps a robot."""
+
+    dead = "/robot_runner_4194304"  # no process has so high a number
+    robots: Sequence[str] = ("/base",)
+
+    def __init__(self, clock: FakeClock, anew: Told) -> None:
+        super().__init__(clock, 0.0)
+        self._anew, self.closed, self.joined = anew, 0, 0
+
+    def advertise(self, topic: str, message_type: str, *, qos: Qos) -> bool:
+        raise AssertionError("it is asked whether somebody is reached, which it cannot know")
+
+    def subscribers(self, topic: str) -> list[GraphEndpoint]:
+        return [GraphEndpoint(name, TWIST) for name in (self.dead, *self.robots)]
+
+    def rejoined(self) -> RobotLink:
+        self.joined += 1
+        self._anew.close = self.note_closed  # type: ignore[attr-defined]
+        return self._anew  # type: ignore[return-value]
+
+    def note_closed(self) -> None:
+        self.closed += 1
+
+
+class AtOnce(ThreadPoolExecutor):
+    """Does what is submitted before the next look at the clock, which stands still meanwhile."""
+
+    def submit(self, todo: Any, /, *arguments: Any) -> Future[Any]:  # type: ignore[override]
+        future = super().submit(todo, *arguments)
+        wait([future])
+        return future
+
+
+@pytest.fixture
+def at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(commanded_topics, "ThreadPoolExecutor", AtOnce)
+
+
+def test_a_dead_run_that_is_listed_is_not_waited_for_and_who_joins_after_its_death_tells_who_is_reached(
+    clock: FakeClock, at_once: None
+) -> None:
+    anew = Told(clock, 2.0)
+    link = Left(clock, anew)
+    assert keep_commanding_zero(link, [(TOPIC, TWIST)]) == []
+    assert clock.now() < commanded_topics._REACHING
+    assert (link.joined, link.closed) == (1, 1)
+    assert min(link.heard, anew.heard) > 2, "both command until it is known"
+
+
+def test_a_robot_that_is_not_found_beside_a_dead_run_is_not_reached(clock: FakeClock, at_once: None) -> None:
+    with pytest.raises(LinkError, match="subscription is not reached within"):
+        keep_commanding_zero(Left(clock, Told(clock, 3600.0)), [(TOPIC, TWIST)])
+
+
+def test_a_dead_run_is_no_robot(clock: FakeClock, at_once: None) -> None:
+    link = Left(clock, Told(clock, 3600.0))
+    link.robots = ()
+    assert keep_commanding_zero(link, [(TOPIC, TWIST)]) == [TOPIC]
+
+
+class Remote(Told):
+    """A simulated robot on another computer, whose process has a number that no process has here."""
+
+    def subscribers(self, topic: str) -> list[GraphEndpoint]:
+        return [GraphEndpoint(Left.dead, TWIST)]
+
+
+def test_a_node_of_ours_on_another_computer_is_a_robot(clock: FakeClock, at_once: None) -> None:
+    assert keep_commanding_zero(Remote(clock, 0.0), [(TOPIC, TWIST)]) == []
+    link = Left(clock, Remote(clock, 0.0))
+    link.robots = ()
+    assert keep_commanding_zero(link, [(TOPIC, TWIST)]) == []
+
+
+class Slow(Left):
+    """Where the graph cannot be joined once more, it is asked itself."""
+
+    def advertise(self, topic: str, message_type: str, *, qos: Qos) -> bool:
+        return self._clock.now() > 6.0
+
+    def rejoined(self) -> RobotLink:
+        raise LinkError("the graph cannot be joined")
+
+
+def test_where_nobody_can_join_after_a_death_the_link_is_asked_itself(clock: FakeClock, at_once: None) -> None:
+    assert keep_commanding_zero(Slow(clock, Told(clock, 0.0)), [(TOPIC, TWIST)]) == []
+    assert 6.0 < clock.now() < commanded_topics._REACHING
 
 
 class Halved:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from typing import Any
 
 import pytest
@@ -55,3 +56,41 @@ def test_a_server_that_refuses_is_an_error() -> None:
     link.offer(CANCEL, "action_msgs/CancelGoal", lambda _: {"return_code": 1})
     with pytest.raises(LinkError, match="refuses to cancel its goals"):
         cancel_all_goals(link, "/dig")
+
+
+@pytest.mark.parametrize("cancel", [cancel_all_goals, keep_cancelling_goals])
+@pytest.mark.parametrize(
+    ("states", "is_refused"),
+    [([2], True), ([6, 1], True), ([2, 3], True), ([3], False), ([4, 5, 6], False), ([], False), (None, False)],
+)
+def test_a_server_that_answers_well_and_goes_on_is_an_error(
+    cancel: Any, states: list[int] | None, is_refused: bool, monkeypatch: Any
+) -> None:
+    monkeypatch.setattr(goal_cancelling, "_LATE_SECONDS", 0.0)
+    link = FakeRobotLink(FakeClock(), actions={"/dig": FakeAction()})
+    link.offer(CANCEL, "action_msgs/CancelGoal", lambda _: {"return_code": 0, "goals_canceling": []})
+    subscribe = link.subscribe
+
+    def told_at_once(topic: str, message_type: str, callback: Any) -> Any:
+        subscription = subscribe(topic, message_type, callback)
+        if states is not None:  # as it is transient local
+            link.deliver("/dig/_action/status", {"status_list": [{"status": each} for each in states]})
+        return subscription
+
+    monkeypatch.setattr(link, "subscribe", told_at_once)
+    with pytest.raises(LinkError, match="refuses to cancel its goals") if is_refused else nullcontext():
+        cancel(link, "/dig")
+
+
+def test_a_goal_that_is_cancelled_a_moment_after_the_answer_is_no_refusal(monkeypatch: Any) -> None:
+    clock = FakeClock()
+    link = FakeRobotLink(clock, actions={"/dig": FakeAction()})
+    link.offer(CANCEL, "action_msgs/CancelGoal", lambda _: {"return_code": 0})
+    status = iter([2, 2, 3])
+
+    def sleep(seconds: float) -> None:
+        link.deliver("/dig/_action/status", {"status_list": [{"status": next(status)}]})
+
+    monkeypatch.setattr(clock, "sleep", sleep)
+    cancel_all_goals(link, "/dig")
+    assert next(status, None) is None

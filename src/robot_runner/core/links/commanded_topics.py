@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import ExitStack, closing, contextmanager, suppress
 from typing import NamedTuple
 
 from robot_runner.core.errors import LinkError
-from robot_runner.core.links.robot import Advertiser, Message, Qos, RobotLink
+from robot_runner.core.links.graph_names import is_left_by_the_dead
+from robot_runner.core.links.robot import Advertiser, Message, Qos, Rejoiner, RobotLink
 from robot_runner.core.words import enumerated
 
 #: The types of a velocity in all directions.
@@ -84,7 +86,8 @@ def commanded_type(topic: str) -> str | None:
 def keep_commanding_zero(link: RobotLink, commanded: Sequence[tuple[str, str]]) -> list[str]:
     """Command zero on topics (name and type) of one graph for some seconds, and until every subscriber is reached.
 
-    On a topic without a subscriber, one is awaited for as long: it may have to be discovered.
+    On a topic without a subscriber, one is awaited for as long: it may have to be discovered. Where a dead process of
+    ours is listed as one, a participant that joins after its death commands as well, and tells who is reached.
 
     Returns:
         the topics without a subscriber.
@@ -93,34 +96,73 @@ def keep_commanding_zero(link: RobotLink, commanded: Sequence[tuple[str, str]]) 
         LinkError: a subscriber of a topic, or the robot, is not reached. A failure at one topic is raised after the
             others are done; a failure at all of them immediately.
     """
-    began = time.monotonic()
-    while True:
-        time.sleep(_PERIOD)
-        seconds = time.monotonic() - began
-        empty: list[str] = []
-        missed: list[str] = []
-        faults: dict[str, Exception] = {}
-        for topic, message_type in commanded:
-            try:
-                # First: that takes up to a second, in which one that takes nothing may come to count as gone.
-                is_reached = seconds >= _TELLING and _reaches(link, topic, message_type)
-                if seconds >= _TELLING and not any(each.may_be_others for each in link.subscribers(topic)):
-                    empty.append(topic)
-                elif seconds >= _TELLING and not is_reached:
-                    missed.append(topic)
-            except Exception as error:  # noqa: BLE001 - raised below
-                faults.setdefault(topic, error)
-            try:  # once more where it is reached: what was told before is lost
-                link.publish(topic, message_type, {})
-            except Exception as error:  # noqa: BLE001 - raised below
-                faults.setdefault(topic, error)
-        is_over = seconds > _REACHING or (seconds >= _TELLING and not (empty or missed))
-        if faults and (is_over or len(faults) == len(commanded)):
-            raise next(iter(faults.values()))
-        if missed and seconds > _REACHING:
-            raise _not_reached(link, missed[0], seconds)
-        if is_over:
-            return empty
+    with _rejoining(link, commanded) as links_now:
+        began = time.monotonic()
+        while True:
+            time.sleep(_PERIOD)
+            seconds = time.monotonic() - began
+            links, is_known = links_now()
+            reached: dict[str, bool | None] = {}
+            faults: dict[str, Exception] = {}
+            for topic, message_type in commanded:
+                try:
+                    if seconds >= _TELLING:
+                        reached[topic] = _is_reached(links, topic, message_type, is_known=is_known)
+                except Exception as error:  # noqa: BLE001 - raised below
+                    faults.setdefault(topic, error)
+                try:  # once more where it is reached: what was told before is lost
+                    for each in links:
+                        each.publish(topic, message_type, {})
+                except Exception as error:  # noqa: BLE001 - raised below
+                    faults.setdefault(topic, error)
+            is_over = seconds > _REACHING or (seconds >= _TELLING and all(reached.values()))
+            if faults and (is_over or len(faults) == len(commanded)):
+                raise next(iter(faults.values()))
+            missed = [topic for topic, is_reached in reached.items() if is_reached is False]
+            if missed and seconds > _REACHING:
+                raise _not_reached(link, missed[0], seconds)
+            if is_over:
+                return [topic for topic, is_reached in reached.items() if is_reached is None]
+
+
+@contextmanager
+def _rejoining(
+    link: RobotLink, commanded: Sequence[tuple[str, str]]
+) -> Iterator[Callable[[], tuple[list[RobotLink], bool]]]:
+    """Yield what returns the links to command over, and whether the last one can tell yet who is reached.
+
+    That is the link alone, until it lists a dead process as a subscriber: Fast DDS lists one that was killed for 20 s,
+    and as it acknowledges nothing, it is not known meanwhile whether the others have taken a command.
+    """
+    with ExitStack() as opened:
+        joining: list[Future[RobotLink]] = []
+
+        def join(rejoiner: Rejoiner) -> RobotLink:
+            other = opened.enter_context(closing(rejoiner.rejoined()))
+            for topic, message_type in commanded:  # which waits until the subscribers are discovered
+                _reaches(other, topic, message_type)
+            return other
+
+        def links_now() -> tuple[list[RobotLink], bool]:
+            with suppress(Exception):  # whoever commands over the link hears of it
+                topics = () if joining else commanded
+                listed = (each.node for topic, _ in topics for each in link.subscribers(topic))
+                if isinstance(link, Rejoiner) and any(map(is_left_by_the_dead, listed)):
+                    joining.append(opened.enter_context(ThreadPoolExecutor(1)).submit(join, link))
+            if not (joining and joining[0].done()):
+                return [link], not joining
+            return [link] if joining[0].exception() else [link, joining[0].result()], True
+
+        yield links_now
+
+
+def _is_reached(links: Sequence[RobotLink], topic: str, message_type: str, *, is_known: bool) -> bool | None:
+    """Return whether all that subscribe to a topic, by any link, are reached by the last; None where nobody does."""
+    # First: that takes up to a second, in which one that takes nothing may come to count as gone.
+    is_reached = is_known and _reaches(links[-1], topic, message_type)
+    listed = [{each.node for each in link.subscribers(topic) if each.may_be_others} for link in links]
+    alive = {node for node in listed[0] if not is_left_by_the_dead(node)}
+    return is_reached and alive <= listed[-1] if alive or listed[-1] else None
 
 
 def command_for_certain(link: RobotLink, topic: str, message_type: str, message: Message) -> None:

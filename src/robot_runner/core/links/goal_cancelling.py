@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Collection
 
 from robot_runner.core.errors import LinkError
 from robot_runner.core.links.robot import Encoding, Message, RobotLink
@@ -10,8 +11,8 @@ from robot_runner.core.links.robot import Encoding, Message, RobotLink
 #: action_msgs/srv/CancelGoal: the server refuses to cancel.
 _REFUSED = 1
 _NOW = {"sec": 0, "nanosec": 0}
-#: actionlib_msgs/GoalStatus: pending and active, without a cancel request.
-_EXECUTED = {0, 1}
+#: actionlib_msgs/GoalStatus: pending and active, without a cancel request; action_msgs/GoalStatus: accepted, executing.
+_EXECUTED, _EXECUTED_IN_ROS2 = {0, 1}, {1, 2}
 #: The timeout for a server's states after a cancel request, s: it publishes them five times a second.
 _TOLD_SECONDS = 1.0
 #: The timeout for a server's answer, s.
@@ -35,7 +36,8 @@ def cancel_all_goals(link: RobotLink, action: str, *, timeout: float = _ANSWER_S
     Raises:
         LinkError: the server refuses, or does not answer.
     """
-    _request(link, action, timeout, min(_TOLD_SECONDS, timeout))
+    if _request(link, action, timeout, min(_TOLD_SECONDS, timeout)):
+        _see_cancelled(link, action)
 
 
 def keep_cancelling_goals(link: RobotLink, action: str) -> None:
@@ -45,8 +47,12 @@ def keep_cancelling_goals(link: RobotLink, action: str) -> None:
         LinkError: as `cancel_all_goals`.
     """
     begun = time.monotonic()
-    while _request(link, action, _ANSWER_SECONDS, _ANSWER_SECONDS) and time.monotonic() < begun + _LATE_SECONDS:
+    while is_there := _request(link, action, _ANSWER_SECONDS, _ANSWER_SECONDS):
+        if time.monotonic() >= begun + _LATE_SECONDS:
+            break
         time.sleep(_ASK_AGAIN)
+    if is_there:
+        _see_cancelled(link, action)
 
 
 def _request(link: RobotLink, action: str, timeout: float, patience: float) -> bool:
@@ -67,9 +73,34 @@ def _request(link: RobotLink, action: str, timeout: float, patience: float) -> b
             raise
         answer = link.call(service, message_type, {}, timeout=timeout)
     if answer["return_code"] == _REFUSED:
-        fix = "Look at the log of its server, and stop the robot by hand."
-        raise LinkError("the action server refuses to cancel its goals", where=action, fix=fix)
+        raise _refusal(action)
     return True
+
+
+def _see_cancelled(link: RobotLink, action: str) -> None:
+    """Raise a `LinkError` if a server of ROS 2 tells that it goes on executing a goal.
+
+    That of rclpy refuses every cancel request unless its author allows it, and answers that there was no error.
+    """
+    if link.encoding is Encoding.ROS1:  # such a server was asked until it told that it does not
+        return
+    told: list[Message] = []
+
+    def is_none_executed(states: Message) -> bool:
+        told.append(states)
+        return _is_none_executed(states, _EXECUTED_IN_ROS2)
+
+    topic, message_type = f"{action}/_action/status", "action_msgs/GoalStatusArray"
+    try:
+        link.wait_for(topic, message_type, is_none_executed, timeout=_TOLD_SECONDS)
+    except LinkError as error:
+        if told and action in link.actions():  # one that has had no goal tells nothing
+            raise _refusal(action) from error
+
+
+def _refusal(action: str) -> LinkError:
+    fix = "Look at the log of its server, and stop the robot by hand."
+    return LinkError("the action server refuses to cancel its goals", where=action, fix=fix)
 
 
 def _request_in_ros1(link: RobotLink, action: str, timeout: float) -> bool:
@@ -92,5 +123,5 @@ def _request_in_ros1(link: RobotLink, action: str, timeout: float) -> bool:
             return True
 
 
-def _is_none_executed(states: Message) -> bool:
-    return not any(each["status"] in _EXECUTED for each in states["status_list"])
+def _is_none_executed(states: Message, executed: Collection[int] = _EXECUTED) -> bool:
+    return not any(each["status"] in executed for each in states["status_list"])

@@ -14,9 +14,13 @@ from typing import Any
 
 from robot_runner.core.errors import LinkError, did_you_mean
 from robot_runner.core.links.robot import Message
+from robot_runner.core.storage.outliving import program_name
 
 #: A name that ROS 1 and ROS 2 both take (ROS 1: wiki.ros.org/Names; ROS 2: design.ros2.org, topic and service names).
 _LEGAL = re.compile(r"/?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*")
+
+#: The name of a node of ours over ROS 2 and DDS, with the id of its process.
+_OURS = re.compile(r"/robot_runner_(\d+)(?:_[0-9a-f]+)?")
 
 
 def namespace_prefix(namespace: str) -> str:
@@ -48,6 +52,19 @@ def full_name(namespace: str, name: str) -> str:
     if _LEGAL.fullmatch(name) is None:
         raise _illegal("topic or service", name)
     return name if name.startswith("/") else f"{namespace_prefix(namespace)}/{name}"
+
+
+def is_left_by_the_dead(node: str) -> bool:
+    """Return whether a node has the name of one of ours, and its process on this machine is dead.
+
+    Another computer's may have the same name.
+
+    Example:
+        >>> is_left_by_the_dead("/robot"), is_left_by_the_dead("/robot_runner_4194304_3fc1")
+        (False, True)
+    """
+    of_ours = _OURS.fullmatch(node)
+    return of_ours is not None and program_name(int(of_ours[1])) is None
 
 
 def missing(kind: str, name: str, known: Iterable[str], *, where: str, fix: str) -> LinkError:

@@ -133,6 +133,20 @@ class Advertiser(Protocol):
 
 
 @runtime_checkable
+class Rejoiner(Protocol):
+    """Joins its graph once more; a link cannot whose client library has one view of the graph for the whole process."""
+
+    def rejoined(self) -> RobotLink:
+        """Return a link of another participant, which lists no process that is dead by now; the caller closes it.
+
+        From then on, that one sees to it that the last commands are taken, and this one does not wait for that.
+
+        Raises:
+            LinkError: the graph cannot be joined.
+        """
+
+
+@runtime_checkable
 class Subscriber(Protocol):
     """Receives what is published on the topics of a robot.
 
