@@ -72,6 +72,21 @@ def test_a_fault_of_our_own_is_said_to_be_ours_and_kept(
     assert "ZeroDivisionError: by nought" in Path(kept.group(1)).read_text(encoding="utf-8")
 
 
+def test_what_is_kept_of_a_fault_to_be_reported_has_no_secret(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    monkeypatch.setenv("LAB_TOKEN", "open-sesame")
+    assignments = ["--set", "db_password=swordfish", "--set=wifi_psk=wander lust", "--set", "robot=simulated"]
+    monkeypatch.setattr(sys, "argv", ["robot-runner", "study.py", *assignments])
+    assert guarded(raising(ZeroDivisionError("by open-sesame"))) == 70
+    assert "open-sesame" not in capsys.readouterr().err
+    (kept,) = tmp_path.iterdir()
+    lines = kept.read_text(encoding="utf-8").splitlines()
+    assert lines[1] == "robot-runner study.py --set db_password=... --set wifi_psk=... --set robot=simulated"
+    assert lines[-1] == "ZeroDivisionError: by REDACTED"
+
+
 def test_output_for_which_a_disk_has_no_room_is_no_fault_of_ours(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

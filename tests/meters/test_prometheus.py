@@ -9,6 +9,7 @@ import subprocess
 import sys
 import threading
 import time
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -365,6 +366,26 @@ def test_a_page_that_breaks_off_within_a_number_is_no_reading(told):
         (finding,) = findings(f"http://127.0.0.1:{server.getsockname()[1]}/metrics", "supply_power_watts")
         thread.join(10.0)
     assert "breaks off" in finding.problem
+
+
+def test_a_page_that_never_ends_is_given_up():
+    with socket.create_server(("127.0.0.1", 0)) as server:
+
+        def answer() -> None:
+            connection, _ = server.accept()
+            with connection, suppress(OSError):  # until the other side hangs up
+                connection.recv(4096)
+                connection.sendall(b"HTTP/1.0 200 OK\r\n\r\n")
+                while True:
+                    connection.sendall(b"# a stream of events\n")
+                    time.sleep(0.01)
+
+        thread = threading.Thread(target=answer, daemon=True)
+        thread.start()
+        url = f"http://127.0.0.1:{server.getsockname()[1]}/events"
+        (finding,) = findings(url, "supply_power_watts", timeout_s=0.1)
+        thread.join(10.0)
+    assert finding.problem == f"{url} does not answer: it timed out"
 
 
 @pytest.mark.parametrize(

@@ -133,6 +133,19 @@ def test_a_hash_is_required_only_where_all_are_known(manifest, tmp_path):
 
 
 @pytest.mark.long
+@pytest.mark.parametrize(("name", "release"), [("x\n-e /tmp/theirs\ny", "1"), ("x", "1\n-e /tmp/theirs"), ("-r", "1")])
+def test_nothing_but_packages_with_their_versions_is_asked_of_pip(tmp_path, name, release):
+    software = {
+        "python": "3.11\n-e /tmp/theirs",
+        "packages": {name: release, "rich": "13.7.1", "odd.name": "1!2.0+lab"},
+    }
+    recorded = record_environment({"software": software}, tmp_path)
+    assert set(recorded.packages) == {"rich", "odd-name"}
+    pinned = [line for line in recorded.requirements({}).splitlines() if not line.startswith("#")]
+    assert pinned == ["odd-name==1!2.0+lab", "rich==13.7.1"]
+    assert recorded.findings[0].problem.startswith("the manifest names what cannot be a package with its version")
+
+
 def test_an_environment_of_another_machine_is_said_to_be_one(manifest, tmp_path):
     manifest["software"]["robot_runner"] = "0.0.1"
     manifest["software"]["packages"] = {"robot_runner": "0.0.1", "rich": "1.0", "left_pad": "1.0"}

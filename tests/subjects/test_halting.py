@@ -288,10 +288,20 @@ def test_nothing_but_a_velocity_is_commanded_whatever_somebody_has_written_into_
     assert halted == []
 
 
-def test_a_pipe_in_the_place_of_that_file_is_not_waited_for(tmp_path: Path) -> None:
+def test_a_pipe_in_the_place_of_a_file_of_a_start_is_not_waited_for(tmp_path: Path) -> None:
     start = begun(tmp_path)
-    os.mkfifo(start.folder / "commanded.jsonl")
+    start.events.unlink(missing_ok=True)
+    for path in (start.folder / "commanded.jsonl", start.events):
+        os.mkfifo(path)
     assert CommandedTopics(start).by_robot() == {}
+    assert not start.is_supervised()
+    assert start.pid is None
+
+
+def test_a_folder_of_starts_may_hold_anything_else(tmp_path: Path, halted: list[Path]) -> None:
+    begun(tmp_path).folder.with_name("²").mkdir()  # a digit for Python, and no number
+    assert list(end_left_subjects(tmp_path, lambda _: True)) == []
+    assert halted == []
 
 
 @pytest.mark.parametrize("is_moved", [False, True], ids=["copied", "moved"])

@@ -64,6 +64,20 @@ def test_what_is_too_large_or_lies_in_other_repositories_or_cannot_be_had_is_not
     assert not [path for path in tmp_path.iterdir() if path.name.lstrip(".").startswith(("submodule", "gone", "large"))]
 
 
+def test_looking_into_a_copy_that_somebody_has_prepared_executes_nothing(
+    repository: Repository, tmp_path: Path
+) -> None:
+    copy, lacking = tmp_path / "copy.git", "a" * 40
+    assert is_kept(copy, {repository.commit_of("main"): repository.folder})
+    (copy / "config").write_text(
+        "[core]\n\trepositoryformatversion = 1\n\tbare = true\n[extensions]\n\tpartialClone = origin\n"
+        f'[remote "origin"]\n\turl = {repository.folder}\n\tpromisor = true\n'
+        f"\tuploadpack = touch {tmp_path}/executed; git-upload-pack\n"
+    )
+    assert not is_kept(copy, {lacking: tmp_path / "gone"})
+    assert not (tmp_path / "executed").exists()
+
+
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root can give files to another user")
 def test_a_copy_in_another_users_folder_is_built_from_and_its_configuration_is_not(
     repository: Repository, tmp_path: Path
@@ -140,13 +154,26 @@ def test_what_the_disk_does_not_take_of_a_work_tree_is_named(
     tree, log = WorkTree(str(repository.folder), repository.commit_of("main"), "true"), tmp_path / "log"
     refusal = OSError(errno.ENOSPC, "No space left on device")
     if is_log:
-        monkeypatch.setattr(work_tree.shutil, "copyfile", Mock(side_effect=refusal))
+        monkeypatch.setattr(work_tree.shutil, "copyfileobj", Mock(side_effect=refusal))
     else:
         monkeypatch.setattr(WorkTree, "_built_before", Mock(side_effect=refusal))
     named = log if is_log else tree.folder
     with pytest.raises(StorageError, match=f"{named}: the file cannot be written: No space left") as caught:
         tree.made("main", log, Workshop(tmp_path, lambda: False, print))
     assert caught.value.fix == "Make room on the disk, then try again."
+
+
+def test_the_log_of_a_build_replaces_no_file_to_which_a_link_in_the_experiments_folder_leads(
+    repository: Repository, tmp_path: Path
+) -> None:
+    own, logs = tmp_path / "own.txt", tmp_path / "trial" / "revisions"
+    own.write_text("mine")
+    logs.mkdir(parents=True)
+    (logs / "v1.0.log").symlink_to(own)
+    tree = WorkTree(str(repository.folder), repository.commit_of("main"), "true")
+    with pytest.raises(StorageError, match="this is a symbolic link"):
+        tree.made("main", logs / "v1.0.log", Workshop(logs, lambda: False, print))
+    assert own.read_text() == "mine"
 
 
 POINTER = "version https://git-lfs.github.com/spec/v1\noid sha256:4d7a214614ab2935c943f9e0ff69d22e\nsize 12345\n"

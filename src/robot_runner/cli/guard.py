@@ -56,8 +56,9 @@ def show_fault(error: Exception, *, show_traceback: bool) -> None:
 
     from robot_runner.cli.findings import show_findings  # noqa: PLC0415 - as above
     from robot_runner.core.errors import Finding  # noqa: PLC0415 - as above
+    from robot_runner.core.secret_names import without_environment_secrets  # noqa: PLC0415 - as above
 
-    text = "".join(traceback.format_exception(error))
+    text = without_environment_secrets("".join(traceback.format_exception(error)))  # people report it in public
     if show_traceback:
         sys.stderr.write(text)
         fix = "Report it with this traceback."
@@ -65,7 +66,8 @@ def show_fault(error: Exception, *, show_traceback: bool) -> None:
         fix = f"Report it with the file {kept}, or repeat the command with --debug."
     else:
         fix = "Repeat the command with --debug, and report it with the traceback that is shown then."
-    problem = f"this is a fault of Robot Runner, not yours: {type(error).__name__}: {error}"
+    said = without_environment_secrets(f"{type(error).__name__}: {error}")
+    problem = f"this is a fault of Robot Runner, not yours: {said}"
     show_findings([Finding.error("", problem, fix)])
 
 
@@ -75,8 +77,11 @@ def _kept(text: str) -> str:
     import tempfile  # noqa: PLC0415 - as above
     from importlib.metadata import version  # noqa: PLC0415 - as above
 
+    from robot_runner.core.secret_names import shown_assignments  # noqa: PLC0415 - as above
+
     head = f"robot-runner {version('robot-runner')}, Python {platform.python_version()}, {platform.platform()}\n"
-    command = " ".join(sys.argv)
+    words = [part for each in sys.argv for part in (each.split("=", 1) if each.startswith("--set=") else [each])]
+    command = " ".join(shown_assignments(words))
     try:
         with tempfile.NamedTemporaryFile(
             "w", prefix="robot-runner-fault-", suffix=".txt", delete=False, encoding="utf-8", errors="backslashreplace"

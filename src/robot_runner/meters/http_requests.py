@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import time
 import urllib.error
 import urllib.parse
 import urllib.request
@@ -18,6 +19,7 @@ from robot_runner.core.errors import LinkError, PluginError
 
 #: Much more than the page of an exporter; the answer of a device that never stops sending is cut off.
 _MOST_BYTES = 32 << 20
+_PIECE = 1 << 16
 _UNAUTHORIZED, _FORBIDDEN = 401, 403
 _NAME_PASSWORD = "Name its user, and where its password stands: password_env='NAME' or password_file='...'."  # noqa: S105
 
@@ -113,7 +115,7 @@ class HttpDevice:
 
     Args:
         url: of the device, such as `http://192.168.0.20`.
-        timeout: how long each step of a request may take, s.
+        timeout: how long each step of a request, and all of the body, may take, s.
         user: whose password it is.
         password: None for requests without one.
         where: for errors: whose device it is.
@@ -139,7 +141,7 @@ class HttpDevice:
         request = urllib.request.Request(self.url + path, headers=headers)  # noqa: S310 - the scheme was checked
         try:
             with closing(self._opener.open(request, timeout=self._timeout)) as answer:
-                body: bytes = answer.read(_MOST_BYTES + 1)
+                body = _body(answer, time.monotonic() + self._timeout)
         except urllib.error.HTTPError as error:
             with error:
                 raise self._refused(error.code, error.reason) from error
@@ -162,3 +164,17 @@ class HttpDevice:
     def _refused(self, code: int, reason: str) -> LinkError:
         fix = _NAME_PASSWORD if code in {_UNAUTHORIZED, _FORBIDDEN} else "Look at its address and its kind."
         return LinkError(f"{self.url} refuses: {code} {reason}", where=self._where, fix=fix)
+
+
+def _body(answer: Any, until: float) -> bytes:
+    """Return the body of an answer, or its beginning if that is more than a device sends.
+
+    Raises:
+        TimeoutError: it goes on beyond a moment of the monotonic clock, as a stream of events does.
+    """
+    body = bytearray()
+    while len(body) <= _MOST_BYTES and (piece := answer.read1(_PIECE)):
+        body += piece
+        if time.monotonic() > until:
+            raise TimeoutError
+    return bytes(body)

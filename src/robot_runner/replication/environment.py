@@ -9,8 +9,9 @@ installers do not keep them; `index_hashes` asks for them.
 from __future__ import annotations
 
 import ast
+import re
 import sys
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
 from importlib.metadata import packages_distributions
@@ -25,9 +26,12 @@ from robot_runner.core.entry_points import entry_points
 from robot_runner.core.errors import Finding
 from robot_runner.core.storage.guarded_files import read_bytes
 from robot_runner.core.storage.input_files import copies_in
+from robot_runner.core.words import listed, one_line
 from robot_runner.replication.distributions import InstalledDistribution, canonical, closure, installed_distributions
 
 _OUR_NAME = "robot-runner"
+#: A package with its version. Pip would execute more than that: `-e PATH` on a line of its own, in another's manifest.
+_PIN = re.compile(r"[a-z0-9](?:[a-z0-9.-]*[a-z0-9])?==[A-Za-z0-9][A-Za-z0-9.!+_-]*")
 _GLIBC = ("manylinux2014", *(f"manylinux_2_{minor}" for minor in (17, 24, 26, 27, 28, 31, 34, 35, 36)))
 #: Usual platforms of replications, by pip's tags: the oldest first, since its files fit most machines.
 PLATFORMS: Mapping[str, tuple[str, ...]] = {
@@ -81,7 +85,7 @@ class RecordedEnvironment:
     @property
     def python(self) -> str:
         """The version of Python."""
-        return str(self.manifest.get("software", {}).get("python", ""))
+        return one_line(str(self.manifest.get("software", {}).get("python", "")))
 
     @property
     def needed(self) -> tuple[PackageRecord, ...]:
@@ -158,7 +162,9 @@ def record_environment(manifest: Mapping[str, Any], config: Path) -> RecordedEnv
     packages = dict(software.get("packages") or {})
     if software.get("robot_runner"):
         packages.setdefault(_OUR_NAME, software["robot_runner"])
-    recorded = dict(sorted((canonical(name), str(release)) for name, release in packages.items()))
+    pins = {canonical(name): f"{canonical(name)}=={release}" for name, release in packages.items()}
+    odd = sorted(name for name, pin in pins.items() if not _PIN.fullmatch(pin))
+    recorded = {name: pin.partition("==")[2] for name, pin in sorted(pins.items()) if name not in odd}
     installed = installed_distributions()
     same = {
         name: installed[name] for name in recorded if name in installed and installed[name].version == recorded[name]
@@ -171,7 +177,7 @@ def record_environment(manifest: Mapping[str, Any], config: Path) -> RecordedEnv
         for name, release in recorded.items()
     }
     local = tuple(each for name, each in same.items() if name in needed and each.is_local)
-    return RecordedEnvironment(manifest, records, local, tuple(_findings(recorded, same, needed)))
+    return RecordedEnvironment(manifest, records, local, tuple(_findings(recorded, same, needed, odd)))
 
 
 def _roots(manifest: Mapping[str, Any], config: Path) -> set[str]:
@@ -201,8 +207,11 @@ def _source(installed: InstalledDistribution, pinned: str) -> tuple[str, str]:
 
 
 def _findings(
-    recorded: Mapping[str, str], same: Mapping[str, InstalledDistribution], needed: set[str]
+    recorded: Mapping[str, str], same: Mapping[str, InstalledDistribution], needed: set[str], odd: Sequence[str]
 ) -> Iterator[Finding]:
+    if odd:
+        problem = f"the manifest names what cannot be a package with its version, and is left out: {listed(odd)}"
+        yield Finding.warning("environment", problem, "Ask who executed the experiment whether the folder was changed.")
     unknown = sorted(needed - set(same))
     if not recorded:
         problem = "the manifest does not say what was installed"

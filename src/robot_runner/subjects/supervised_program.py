@@ -19,6 +19,7 @@ from robot_runner.core.errors import PluginError, StorageError, did_you_mean
 from robot_runner.core.execution.processes import FEWER_PROCESSES, needed_process
 from robot_runner.core.links.commanded_topics import MAY_BE_MOVING
 from robot_runner.core.links.ssh_command import gist, remedy, ssh_command
+from robot_runner.core.storage.guarded_files import open_to_read, read_bytes
 from robot_runner.core.storage.shared_claims import held_against_users
 from robot_runner.core.words import listed, one_line
 from robot_runner.subjects.orphans import end_orphans, mark_of, wake_supervisor
@@ -197,22 +198,22 @@ class Start:
     def is_supervised(self) -> bool:
         """Whether its supervisor is alive, which it is until all that it started has ended."""
         try:
-            with self.events.open("rb") as file:
+            with open_to_read(self.events) as file:
                 fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
         except BlockingIOError:
             return True
-        except OSError:
+        except (OSError, StorageError):
             return False
         return False
 
     def _told(self, kind: str) -> dict[str, Any]:
         """Return the supervisor's event of a kind; empty where there is none."""
         try:
-            lines = self.events.read_bytes().split(b"\n")[:-1]
-        except OSError:
+            lines = read_bytes(self.events).split(b"\n")[:-1]
+        except StorageError:
             return {}
         for line in lines:
-            with suppress(ValueError):
+            with suppress(ValueError, RecursionError):
                 if isinstance(event := json.loads(line), dict) and kind in event:
                     return event
         return {}
@@ -331,7 +332,7 @@ class SupervisedProgram(Start):
 
 def last_start(folder: Path) -> Start | None:
     """Return the last of the starts in a folder, which are numbered from 1; None where there is none."""
-    starts = [path for path in folder.glob("*") if path.name.isdigit()]
+    starts = [path for path in folder.glob("*") if path.name.isdecimal()]
     return Start(max(starts, key=lambda path: int(path.name))) if starts else None
 
 

@@ -22,7 +22,7 @@ from robot_runner.core.config.treatment_makers import Workshop
 from robot_runner.core.errors import ExecutionError, StorageError
 from robot_runner.core.execution.processes import stop_with_parent
 from robot_runner.core.storage.git_repository import git, repository_state, uncommitted_changes, without_login
-from robot_runner.core.storage.guarded_files import read_bytes, replace
+from robot_runner.core.storage.guarded_files import make_folder, open_to_read, open_to_write, read_bytes, replace
 from robot_runner.core.storage.journal import utc_now
 from robot_runner.core.storage.layout import user_folder
 from robot_runner.core.storage.system_refusals import storage_errors
@@ -91,9 +91,10 @@ class WorkTree:
                 )
                 facts = self._made_anew(name, workshop)
             if self._build:
-                with storage_errors(log, "written"):
-                    log.parent.mkdir(parents=True, exist_ok=True)
-                    shutil.copyfile(self._log, log)
+                root = workshop.logs.parent
+                make_folder(log.parent, root)
+                with open_to_read(self._log) as printed, open_to_write(log, root) as kept:
+                    shutil.copyfileobj(printed, kept)
             return facts
 
     def _made_anew(self, name: str, workshop: Workshop) -> dict[str, Any]:

@@ -55,7 +55,7 @@ def test_without_a_run_that_is_done_there_is_a_report_that_says_so(two_tasks):
 
 def test_a_column_of_numbers_and_texts_is_not_called_one_of_texts(two_tasks):
     text = text_of(two_tasks(video=(870.1, "inf", 869.0, 874.2, 871.3)))
-    assert "inf is not a number, in 1 of 10 runs" in text
+    assert "In 1 of 10 runs it is inf, which is not a number." in text
     assert "There is nothing to draw: no run that is done has a number." in text
     text = text_of(two_tasks(video=("a",) * 5, network=("b",) * 5))
     assert "Its values are neither numbers nor True and False." in text

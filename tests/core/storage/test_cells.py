@@ -45,6 +45,14 @@ def test_a_measure_that_is_no_text_comes_back_with_its_type(value: Any) -> None:
     assert same(plain_value(measure_text(value)), value)
 
 
+@pytest.mark.parametrize("kind", [None, "any", "number", "integer"])
+def test_digits_beyond_the_largest_float_are_text_and_nothing_computes_with_them(kind: str | None) -> None:
+    cells = [f"{sign}{'9' * count}" for sign in ("", "-") for count in (308, 309, 400)]
+    values = [typed_values([cell], kind)[0] for cell in cells]
+    assert [type(value) for value in values] == [int, str, str] * 2
+    assert typed_values(cells, kind) == values
+
+
 @given(texts.filter(bool))
 def test_a_text_comes_back_as_text_where_the_schema_says_so(text: str) -> None:
     assert typed_value(measure_text(text), "string") == text

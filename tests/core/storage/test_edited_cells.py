@@ -60,6 +60,7 @@ def problems(folder: Path, old: str = "", new: str = "", *, is_known: bool = Tru
         ("21.5", "21.6", "Energy of r_2 is '21.6', and was '21.5'"),
         ("21.5", "", "Energy of r_2 is empty, and was '21.5'"),
         ("0.1,3,", "0.1,3,9.5", "Energy of r_5 is '9.5', and was empty"),
+        ("21.5", "9" * 400, f"Energy of r_2 is '{'9' * 400}', and was '21.5'"),  # beyond what a float holds
     ],
 )
 def test_a_label_and_a_value_that_were_changed_are_named(tmp_path: Path, old: str, new: str, told: str) -> None:

@@ -178,6 +178,17 @@ def test_who_takes_the_place_of_our_file_keeps_us_out_and_is_named(folder: Path,
     assert path.lstat().st_uid == _OTHER
 
 
+def test_a_file_of_ours_that_was_linked_to_in_that_place_keeps_its_permissions(folder: Path, claim: str) -> None:
+    with ExitStack() as opened:
+        list(hold_against_users(claim, opened))
+        (path,) = folder.iterdir()
+    private = folder.parent / "private"
+    private.touch(mode=0o600)
+    path.hardlink_to(private)  # which some systems, such as macOS, let any user do
+    assert held(claim) == [f"another user, who has put {path} in our place"]
+    assert private.stat().st_mode & 0o777 == 0o600
+
+
 @as_root
 def test_who_locks_our_file_keeps_us_out_and_is_named(
     folder: Path, claim: str, monkeypatch: pytest.MonkeyPatch

@@ -59,14 +59,16 @@ _SPECIAL = re.compile(r'[",\r\n]')
 
 # An integer exactly as Python writes it: anything else (`007`, `+5`) was written as text and stays text.
 _NUMBER_CHARACTERS = "0123456789.e+-"
-_WRITTEN_INT = re.compile(r"-?(?:0|[1-9][0-9]{0,399})")
-_ANY_NUMBER = re.compile(r"[+-]?(?:[0-9]{1,400}(\.[0-9]*)?|(\.[0-9]+))([eE][+-]?[0-9]+)?")
+# One of more digits than a float has is text, too: nothing could compute with it.
+_MOST_DIGITS = 308
+_WRITTEN_INT = re.compile(rf"-?(?:0|[1-9][0-9]{{0,{_MOST_DIGITS - 1}}})")
+_ANY_NUMBER = re.compile(r"[+-]?(?:[0-9]{1,308}(\.[0-9]*)?|(\.[0-9]+))([eE][+-]?[0-9]+)?")
 _DECIMAL_COMMA = re.compile(r"[+-]?[0-9]+,[0-9]+(?:[eE][+-]?[0-9]+)?")
 
 _STAMPS = re.compile(r"(?:\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d\.\d{3}Z\n)*+", re.ASCII)
 
-#: The size of the largest float: R and pandas cannot read a column with larger integers.
-_MAX_BITS = 1024
+#: What fits into so many digits, and below the largest float: R and pandas cannot read a column with larger integers.
+_MAX_BITS = 1023
 
 
 def quoted(text: str) -> str:
@@ -222,6 +224,8 @@ def _written_float(text: str) -> float | None:
 
 def _all_ints(cells: Sequence[str]) -> list[CellValue] | None:
     """Return the whole numbers where each cell is one, written as Python writes it."""
+    if max(map(len, cells)) > _MOST_DIGITS:
+        return None
     try:
         values = list(map(int, cells))
     except ValueError:

@@ -322,7 +322,7 @@ def members_in(folder: Path) -> int:
 
 def last_config(folder: ExperimentFolder) -> Path:
     """Return the folder with the config as executed last: an earlier one where a kill kept the next from its place."""
-    if folder.config.exists() or not folder.earlier_configs.exists():
+    if folder.config.exists() or not folder.earlier_configs.is_dir():
         return folder.config
     numbered = (path for path in folder.earlier_configs.iterdir() if path.name.isdecimal())
     return max(numbered, key=lambda path: int(path.name), default=folder.config)
@@ -330,7 +330,7 @@ def last_config(folder: ExperimentFolder) -> Path:
 
 def runs_put_away(folder: ExperimentFolder) -> list[str]:
     """Return the runs whose earlier attempts were moved away."""
-    return [path.name for path in folder.earlier_attempts.iterdir()] if folder.earlier_attempts.exists() else []
+    return [path.name for path in folder.earlier_attempts.iterdir()] if folder.earlier_attempts.is_dir() else []
 
 
 def put_attempt_back(folder: ExperimentFolder, run_id: str, attempt: int) -> bool:

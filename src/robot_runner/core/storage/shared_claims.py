@@ -127,9 +127,10 @@ def _hold(path: Path, opened: ExitStack) -> str:
         held = ExitStack()
         held.callback(os.close, descriptor)
         found = os.fstat(descriptor)
-        if found.st_uid != os.geteuid() or not stat.S_ISREG(found.st_mode):
+        is_own = found.st_uid == os.geteuid() and stat.S_ISREG(found.st_mode)
+        if not is_own or found.st_nlink > 1:  # by a hard link, we would open a private file of ours to all
             held.close()
-            return f"{user_name(found.st_uid)}, who has put {path} in our place"
+            return f"{'another user' if is_own else user_name(found.st_uid)}, who has put {path} in our place"
         if stat.S_IMODE(found.st_mode) != _MODE:  # the umask has removed others' right to read
             os.fchmod(descriptor, _MODE)
         if _flock(descriptor, fcntl.LOCK_SH) and is_at(descriptor, path):  # else it was removed meanwhile
