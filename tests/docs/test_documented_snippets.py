@@ -22,6 +22,10 @@ LONG = {
     *("meta-analysis", "operator", "pause", "plan-the-analysis", "recompute", "samples", "statistics", "treatments"),
     *("until-precise", "why-did-my-run-fail"),
 }
+#: A visible import from a module that is below the promised ones.
+_DOORS = r"plugins(?:\.(?:profilers|systems))?|testing|analysis|designs|adaptive"
+_BELOW = re.compile(rf"^ *(?:from|import) robot_runner\.(?!(?:{_DOORS}) )\S+", re.MULTILINE)
+_HIDDEN = re.compile(r"<!-- invisible-code-block.*?-->", re.DOTALL)
 _SKIP = re.compile(r"<!--+\s*skip:\s*(\w+)(.*?)--+>")
 
 
@@ -48,6 +52,12 @@ def test_blocks_that_are_not_executed_are_few_and_say_why() -> None:
     unexplained = [skip for skip in skipped if skip[1] != "next" or not re.fullmatch(r'\s*"[^"]{5,}"\s*', skip[2])]
     assert not unexplained, 'write <!-- skip: next "why" --> above one block'
     assert len(skipped) <= MOST_SKIPPED, skipped
+
+
+def test_a_page_that_imports_what_is_not_promised_says_so() -> None:
+    texts = {_name(page): page.read_text(encoding="utf-8") for page in PAGES if "decisions" not in page.parts}
+    importing = {name for name, text in texts.items() if _BELOW.search(_HIDDEN.sub("", text))}
+    assert importing <= {name for name, text in texts.items() if "not among the promised modules" in text}
 
 
 def test_the_pages_are_found() -> None:

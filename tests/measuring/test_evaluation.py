@@ -95,6 +95,19 @@ def test_an_own_window_is_doubted_from_one_per_cent_on(tmp_path):
     assert context.broker.records[-1][1]["measures"] == ["Energy"]
 
 
+def test_where_the_window_was_narrowed_the_advice_about_an_own_window_is_to_measure_the_whole_mission(tmp_path):
+    clock = FakeClock()
+    context = make_context(tmp_path, Scale(), robot=None, clock=clock)
+    context.times.begin()
+    clock.sleep(2.0)
+    context.begin_window()  # as PlayBag(by="program") does
+    clock.sleep(3.0)
+    context.times.end()
+    note_own_window(context, Window(0.0, 5.0))
+    [finding] = context.broker.findings
+    assert "PlayBag(by='program') narrow it" in finding.fix
+
+
 def test_a_doubt_is_about_all_measures_of_its_owner_where_it_names_none(tmp_path):
     context = executed(tmp_path, ("drive",), ("drive", 1.0))
     context.doubt("the sensor is cold", fix="Warm it.")

@@ -10,6 +10,9 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from tests.analysis import experiment_folders
 
+from robot_runner.analysis.importing.adoption import adopt
+from robot_runner.analysis.importing.description import ImportDescription
+from robot_runner.analysis.importing.understanding import understand
 from robot_runner.core.execution import experiment_status
 from robot_runner.core.execution.experiment_status import read_status
 from robot_runner.core.storage.layout import ExperimentFolder
@@ -59,6 +62,14 @@ def settled(experiment: FollowedExperiment) -> dict[str, Any]:
     while experiment.is_behind:
         parts |= experiment.look()
     return parts
+
+
+def test_imported_results_are_told_as_such(tmp_path: Path) -> None:
+    (tmp_path / "study").mkdir()
+    (tmp_path / "study" / "run_table.csv").write_text("Task,Energy\nIdle,1.5\nVideo,2.5\n")
+    said = ImportDescription(factors=("Task",), measures=("Energy",))
+    adopt(understand(tmp_path / "study", said), tmp_path / "ours")
+    assert settled(FollowedExperiment(tmp_path / "ours"))["state"]["word"] == "imported"
 
 
 def test_it_tells_what_status_tells(root: Path) -> None:

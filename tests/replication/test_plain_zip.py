@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import signal
 import sys
 import zipfile
 
@@ -61,6 +63,17 @@ def test_what_breaks_off_leaves_nothing_behind(tmp_path):
         archive.add("a", breaks())
     assert [path.name for path in tmp_path.iterdir()] == ["a.zip"]
     assert (tmp_path / "a.zip").read_text(encoding="utf-8") == "before"
+
+
+def test_a_request_to_stop_leaves_nothing_behind(tmp_path):
+    def is_asked_to_stop():
+        yield b"a"
+        os.kill(os.getpid(), signal.SIGTERM)
+        yield b"b"
+
+    with pytest.raises(KeyboardInterrupt), written_beside(tmp_path / "a.zip") as archive:
+        archive.add("a", is_asked_to_stop())
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_without_the_extra_it_is_named(experiment, tmp_path, monkeypatch):

@@ -15,6 +15,7 @@ from itertools import pairwise
 
 import pytest
 import yaml
+from mcap.writer import Writer as McapWriter
 from rosbags.rosbag1 import Writer
 from tests.ros.dds_domain import LOOPBACK, claim_domain
 from tests.ros.recordings import BEGIN_NS, PERIOD_NS, scans_of_ros1, scans_of_ros2
@@ -304,6 +305,22 @@ def test_a_bag_that_was_cut_off_is_an_error_and_no_traceback(tmp_path, scans, ki
     ((problem, fix),) = problems(cut)
     assert problem.startswith("the bag cannot be read: ")
     assert "Record it again" in fix
+
+
+def test_messages_out_of_order_in_a_file_without_an_index_are_found_before_anything_moves(tmp_path):
+    bag, text = tmp_path / "hall.mcap", b"\0\1\0\0\2\0\0\0a\0"
+    with bag.open("wb") as file:
+        writer = McapWriter(file, use_chunking=False)  # as rosbag2 writes with the preset "fastwrite"
+        writer.start(profile="ros2")
+        schema = writer.register_schema("std_msgs/msg/String", "ros2msg", b"string data")
+        topics = [writer.register_channel(topic, "cdr", schema) for topic in ("/early", "/note")]
+        for topic, stamp in [(1, 20), (0, 10), (1, 30)]:
+            writer.add_message(topics[topic], log_time=stamp, publish_time=stamp, data=text)
+        writer.finish()
+    ((problem, fix),) = problems(bag)
+    assert "not in timestamp order" in problem
+    assert "mcap recover" in fix
+    assert problems(bag, topics=["/note"]) == []
 
 
 @pytest.mark.parametrize("compression", list(Writer.CompressionFormat))

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from robot_runner.analysis.declared_design import DeclaredDesign as DeclaredDesign
     from robot_runner.analysis.declared_design import with_declared_design as with_declared_design
     from robot_runner.analysis.lazy_samples import LazySamples as LazySamples
+    from robot_runner.analysis.report.writing import ReportFormat as ReportFormat
     from robot_runner.analysis.report.writing import write_report as write_report
     from robot_runner.analysis.results import Results as Results
     from robot_runner.analysis.results import load_results as load_results

@@ -86,6 +86,8 @@ def note_own_window(
             f"the mission took {window.duration:.3f} s of that"
         )
         usual = "List the profiler last, so that it starts last and stops first, or use one that keeps samples."
+        if context.times.is_narrowed:
+            usual = "Let the whole mission be what is measured: begin_window() and PlayBag(by='program') narrow it."
         context.doubt(problem, fix=fix or usual, measures=measures)
 
 

@@ -300,8 +300,8 @@ class FollowedExperiment:
         status = self._status
         if status is None:
             return "reading" if self._tail.is_behind or self._files.journal.exists() else "not begun"
-        if status.is_of_older_tool:
-            return "of another tool"
+        if status.is_imported or status.is_of_older_tool:
+            return "imported" if status.is_imported else "of another tool"
         if status.holder is not None:
             if status.is_waiting_for_user:
                 return "waiting"

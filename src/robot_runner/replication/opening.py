@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import os
 import shutil
+import signal
 import stat
 import struct
 import zipfile
@@ -16,6 +17,7 @@ from functools import partial
 from pathlib import Path
 
 from robot_runner.core.errors import Finding, PackageError
+from robot_runner.core.execution.interruption import stop_signals_handled
 from robot_runner.core.storage.guarded_files import open_to_read, read_bytes
 from robot_runner.core.storage.system_refusals import storage_error, storage_errors
 from robot_runner.replication.contents import DESCRIPTION, DESKTOP_FILES, SUMS, fault_of_name
@@ -107,6 +109,7 @@ def unpack(package: OpenPackage, target: Path, progress: Progress = lambda _, __
         progress: called with the number of bytes written and the total.
 
     Raises:
+        KeyboardInterrupt: a stop signal came; nothing is left beside `target`.
         PackageError: another package is there, or the disk is full.
         StorageError: the folder cannot be written.
     """
@@ -114,7 +117,7 @@ def unpack(package: OpenPackage, target: Path, progress: Progress = lambda _, __
         _refuse_other(package, target)
         return
     beside = target.with_name(f".{target.name}.{os.getpid()}.tmp")
-    with storage_errors(target, "written"):
+    with storage_errors(target, "written"), stop_signals_handled(signal.default_int_handler):
         target.parent.mkdir(parents=True, exist_ok=True)
         _refuse_without_room(package, target.parent)
         beside.mkdir()

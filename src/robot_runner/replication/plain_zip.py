@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import signal
 import zipfile
 import zlib
 from collections.abc import Callable, Iterable, Iterator
@@ -11,6 +12,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import BinaryIO, NamedTuple, TypeAlias
 
+from robot_runner.core.execution.interruption import stop_signals_handled
 from robot_runner.core.storage.guarded_files import open_to_read
 from robot_runner.core.storage.system_refusals import fsync_file, fsync_folder, storage_error, storage_errors
 
@@ -137,21 +139,23 @@ def written_beside(target: Path) -> Iterator[PlainZip]:
     """Yield a zip file beside `target`; it replaces `target` when it is complete and on the disk.
 
     Raises:
+        KeyboardInterrupt: a stop signal came; nothing is left beside `target`.
         StorageError: the file cannot be written; an earlier file at `target` is intact.
     """
     beside = target.with_name(f".{target.name}.{os.getpid()}.tmp")
-    try:
-        beside.unlink(missing_ok=True)
-        archive = PlainZip(beside)
+    with stop_signals_handled(signal.default_int_handler):  # SIGTERM, as of a batch system, would leave it there
         try:
-            yield archive
+            beside.unlink(missing_ok=True)
+            archive = PlainZip(beside)
+            try:
+                yield archive
+            finally:
+                archive.close()
+            with beside.open("rb") as file:
+                fsync_file(file.fileno())
+            beside.replace(target)
+            fsync_folder(target.parent)
+        except OSError as error:
+            raise storage_error(target, "written", error) from error
         finally:
-            archive.close()
-        with beside.open("rb") as file:
-            fsync_file(file.fileno())
-        beside.replace(target)
-        fsync_folder(target.parent)
-    except OSError as error:
-        raise storage_error(target, "written", error) from error
-    finally:
-        beside.unlink(missing_ok=True)
+            beside.unlink(missing_ok=True)

@@ -76,6 +76,12 @@ class OpenedBag:
         """Close the file; closing twice does nothing."""
         self._opened.close()
 
+    @property
+    def has_no_index(self) -> bool:
+        """Whether it has MCAP without chunks, where messages out of order are refused only as they are come to."""
+        storage = getattr(self._reader, "storage", None)
+        return any(getattr(each, "chunks", None) == [] for each in getattr(storage, "storages", [storage]))
+
     def raw_messages(self, connections: Iterable[Any]) -> Iterator[tuple[Any, int, bytes]]:
         """Yield connection, time in ns since the epoch, and bytes of each message, in their order."""
         wanted = [each for connection in connections for each in self._as_filed(connection)]

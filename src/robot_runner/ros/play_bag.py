@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from collections import deque
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import ExitStack
 from enum import StrEnum
@@ -137,7 +138,10 @@ class PlayBag(RobotSystem):
         tells_time = self.has_clock
         try:
             with RecordedBag(self.path) as bag:
-                tells_time |= any(topic.name == CLOCK for topic in bag.chosen(self.topics))
+                chosen = bag.chosen(self.topics)
+                tells_time |= any(topic.name == CLOCK for topic in chosen)
+                if bag.has_no_index and self.by is _By.LINK:
+                    deque(bag.stamps(chosen), maxlen=0)  # raises where messages are out of order
                 if self.has_clock:
                     yield from self._other_time(bag)
                 if (count := bag.files_beside) > 1:

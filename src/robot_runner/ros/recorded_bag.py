@@ -168,10 +168,15 @@ class RecordedBag(OpenedBag):
                 message = self._decoded(connection.msgtype, data)
                 yield RecordedMessage(stamp, connection.topic, _without_numbers(message) if is_other else message)
 
-    def stamps(self) -> Iterator[tuple[str, int]]:
-        """Yield topic and time, ns since the epoch, of each message, as they were recorded; raises as `messages`."""
+    def stamps(self, topics: Sequence[RecordedTopic] | None = None) -> Iterator[tuple[str, int]]:
+        """Yield topic and time, ns since the epoch, of each message, of all topics if none are given.
+
+        Raises as `messages`, whose order it has.
+        """
+        names = None if topics is None else {topic.name for topic in topics}
         with _told_as_broken(self.path):
-            for connection, stamp, _ in self.raw_messages(self.connections):
+            chosen = [each for each in self.connections if names is None or each.topic in names]
+            for connection, stamp, _ in self.raw_messages(chosen):
                 yield connection.topic, stamp
 
     def _decoded(self, message_type: str, data: bytes) -> dict[str, Any]:

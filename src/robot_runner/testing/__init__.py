@@ -17,6 +17,7 @@ from robot_runner.core.doors import open_door
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
+    from robot_runner.core.events.context import SystemClock as SystemClock
     from robot_runner.measuring.host import UtilisationSample as UtilisationSample
     from robot_runner.measuring.serial_line import Chunk as Chunk
     from robot_runner.testing.condition_contract import ConditionContract as ConditionContract

@@ -349,3 +349,13 @@ def test_names_with_line_breaks_do_not_make_lines_of_their_own(
     study.write_text(CONFIG, encoding="utf-8")
     lines = robot_runner("preregister", "--check", tmp_path / "study.registration.json", study).out.splitlines()
     assert [line.split() for line in lines if line.startswith("  Differences")] == [["Differences", "2"]]
+
+
+@pytest.mark.long
+def test_a_factor_that_applies_in_part_of_the_combinations_has_no_treatment_more_and_its_unit(
+    robot_runner: Callable[..., Answer], study: Path
+) -> None:
+    nested = """["Idle", "Video"]), Factor("Width", [720, 1080], unit="px", when={"Task": "Video"})]"""
+    study.write_text(CONFIG.replace("""["Idle", "Video"])]""", nested), encoding="utf-8")
+    said = robot_runner("preregister", study).out
+    assert "Design      Task (Idle, Video) x Width (720, 1080 px; where it applies); 3 repetitions, 9 runs" in said

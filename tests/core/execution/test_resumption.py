@@ -175,6 +175,7 @@ def test_a_file_that_runs_read_and_that_is_edited_while_they_are_executed_is_tol
     rooms = str(executed.config.with_name("rooms.yaml"))
     (told,) = (each for each in executed.finished.findings if each.where == rooms)
     assert told.problem.startswith("changed while the experiment was executed: ")
+    assert "What the config writes for each run itself is no input: leave it out" in told.fix
 
 
 @pytest.mark.long

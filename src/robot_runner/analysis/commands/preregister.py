@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 from argparse import Namespace
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -42,7 +42,7 @@ from robot_runner.core.storage.registration import (
     write_registration,
 )
 from robot_runner.core.storage.system_refusals import storage_error
-from robot_runner.core.words import counted, listed, one_line
+from robot_runner.core.words import INACTIVE, counted, listed, one_line
 
 #: The exit code where a config differs from its registration.
 _DIFFERS = 1
@@ -217,11 +217,21 @@ def _too_few(content: Mapping[str, Any]) -> Iterator[str]:
             yield f"The config plans {counted(planned, 'repetition')}; at {scenario['title']} {asked} take {needed}."
 
 
+def _treatments(texts: Sequence[str], unit: str) -> str:
+    """Return treatments in words, as in `720, 1080 px; where it applies`."""
+    active = [each for each in texts if each != str(INACTIVE)]
+    told = f"{', '.join(active)} {unit}".rstrip()
+    return told if len(active) == len(texts) else f"{told}; where it applies"
+
+
 def _text(content: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     """Yield the facts of a registration in words, with their labels."""
     design, plan = content["design"], content["analysis"]
     yield "Experiment", f"{content['experiment']} ({content['config']['file']})"
-    factors = " x ".join(f"{name} ({', '.join(texts)})" for name, texts in design["factors"].items())
+    units = design.get("units") or {}
+    factors = " x ".join(
+        f"{name} ({_treatments(texts, units.get(name, ''))})" for name, texts in design["factors"].items()
+    )
     left_out = f", less {counted(len(design['excluded']), 'combination')}" if design.get("excluded") else ""
     if "parameters" in design:
         kind = str(design["parameters"]["kind"]).replace("_", " ")

@@ -187,6 +187,11 @@ class MissionTimes:
         """
         self._narrow(1)
 
+    @property
+    def is_narrowed(self) -> bool:
+        """Whether `begin_window` or `end_window` was called in the mission, and nothing has stopped it."""
+        return self._narrowed != [None, None] and not self._is_stopped
+
     @contextmanager
     def phase(self, name: str) -> Iterator[None]:
         """Take the `with` block for a phase of the mission, also when it raises; overlapping blocks are one phase.

@@ -222,7 +222,10 @@ def edited_meanwhile(experiment: Experiment) -> Iterator[Finding]:
     with suppress(StorageError, OSError):  # a disk that is gone: there is nothing to be compared
         for each in (*input_changes(experiment.inputs, kept), *_changed_files(late, experiment.folder.root)):
             problem = f"changed while the experiment was executed: {each.problem}"
-            fix = "Find out from when on, and execute these runs again (--redo)."
+            fix = (
+                "Find out from when on, and execute these runs again (--redo). What the config writes for each run "
+                "itself is no input: leave it out, or bind what it tells to factors (treatment)."
+            )
             yield Finding.warning(each.where, problem, fix)
 
 

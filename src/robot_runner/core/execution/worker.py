@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import os
 import signal
+import subprocess
 import sys
 import tempfile
 import threading
@@ -82,7 +83,9 @@ def become_interpreter(
         file.flush()
         os.lseek(file.fileno(), 0, os.SEEK_SET)
         os.set_inheritable(file.fileno(), True)  # noqa: FBT003 - as above
-        os.execv(sys.executable, [sys.executable, "-P", "-m", _MODULE, str(file.fileno())])  # noqa: S606 - our own program
+        options = subprocess._args_from_interpreter_flags()  # type: ignore[attr-defined] # noqa: SLF001 - as multiprocessing does
+        words = [sys.executable, *options, "-P", "-m", _MODULE, str(file.fileno())]
+        os.execv(sys.executable, words)  # noqa: S606 - our own program
 
 
 def _execute(experiment: Experiment, task: RunTask, systems: SystemsState | None, report: RecordWriter) -> None:

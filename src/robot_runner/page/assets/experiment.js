@@ -8,6 +8,7 @@ const WORDS = {
   running: ["is running", "good"], waiting: ["waits for you", "call"], paused: ["is paused", "call"], done: ["all runs are done", "good"],
   failed: ["ended, some runs failed", "bad"], stopped: ["nobody executes it", "quiet"], reading: ["is being read", "quiet"],
   "not begun": ["has not begun", "quiet"], unreadable: ["cannot be read", "bad"], "of another tool": ["executed by another tool", "quiet"],
+  imported: ["executed elsewhere, and imported", "quiet"],
 };
 const EVENTS = {
   before_run: "is being prepared", start_run: "starts", start_measurement: "measurement begins", launch_mission: "on its mission",

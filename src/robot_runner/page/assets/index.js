@@ -2,7 +2,7 @@
 import { $, duration, element, setText } from "./parts.js";
 import { word } from "./experiment.js";
 
-const ORDER = ["waiting", "paused", "running", "failed", "stopped", "unreadable", "reading", "not begun", "of another tool", "done"];
+const ORDER = ["waiting", "paused", "running", "failed", "stopped", "unreadable", "reading", "not begun", "of another tool", "imported", "done"];
 
 export function showIndex(experiments) {
   const sorted = [...experiments].sort((one, other) => ORDER.indexOf(one.word) - ORDER.indexOf(other.word) || (other.started_at || "").localeCompare(one.started_at || "") || one.folder.localeCompare(other.folder));

@@ -79,7 +79,7 @@ class Waypoints(SteeredSystem):
     #: The common measures; an instance has the duration of each leg, too, and no yaw error if no yaw is given.
     measures: Sequence[Measure] = (
         Measure("Duration", "s", "Duration of the mission on the run's clock."),
-        Measure("Distance", "m", "Way covered during the mission, by odometry."),
+        Measure("Distance", "m", "Way covered during its whole mission, by odometry."),
         Measure("FinalError", "m", "How far from the last waypoint the robot ended, by odometry."),
         Measure("FinalYawError", "rad", "How far from the last waypoint's yaw it ended, where that has one."),
     )

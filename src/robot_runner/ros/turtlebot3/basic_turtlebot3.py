@@ -52,12 +52,12 @@ class BasicTurtlebot3(SteeredSystem):
 
     Example:
         >>> BasicTurtlebot3(task="Video", task_factor=None).measures[1]
-        Measure(name='Distance', unit='m', description='Way covered during the mission, by odometry.')
+        Measure(name='Distance', unit='m', description='Way covered during its whole mission, by odometry.')
     """
 
     measures: Sequence[Measure] = (
         Measure("Duration", "s", "Duration of the mission on the run's clock."),
-        Measure("Distance", "m", "Way covered during the mission, by odometry."),
+        Measure("Distance", "m", "Way covered during its whole mission, by odometry."),
         Measure("PoseError", "m", "Distance between the first and the last position of the mission, by odometry."),
     )
     #: 23 s instead of 95: the way out is 0.6 m long, and the turn is still slower than the robot's limit.
