@@ -44,6 +44,7 @@ if TYPE_CHECKING:
     from robot_runner.core.config.notify import Notify as Notify
     from robot_runner.core.config.operator_steps import OperatorStep as OperatorStep
     from robot_runner.core.config.operator_steps import Question as Question
+    from robot_runner.core.config.operator_steps import Scale as Scale
     from robot_runner.core.config.parameters import BadValuePolicy as BadValuePolicy
     from robot_runner.core.config.parameters import ExperimentConfig as ExperimentConfig
     from robot_runner.core.config.parameters import FailurePolicy as FailurePolicy

@@ -172,6 +172,14 @@ def test_an_experiment_without_samples_says_so(tmp_path):
         load_results(make_experiment(tmp_path / "e").root).samples()
 
 
+def test_who_wrote_files_without_times_is_told_what_makes_them_samples(tmp_path):
+    folder = make_experiment(tmp_path / "e")
+    write_samples(folder, "r_1", "step,reward\n0,5\n", plugin="Learner")
+    with pytest.raises(AnalysisError, match="there are no raw samples") as refused:
+        load_results(folder.root).samples()
+    assert "a column of times, time_s" in str(refused.value)
+
+
 def grown(pieces, kind=None):
     column = GrowingColumn(expected=3)
     for piece in pieces:

@@ -140,7 +140,7 @@ def test_on_plain_lines_and_from_another_terminal(
 @pytest.mark.long
 def test_the_config_of_the_page_is_executed(terminal: Callable, tmp_path: Path) -> None:
     page = (Path(__file__).parents[2] / "docs" / "operator.md").read_text(encoding="utf-8")
-    block, _ = re.findall(r"^```python\n(.*?)^```", page, re.MULTILINE | re.DOTALL)
+    block, _, _ = re.findall(r"^```python\n(.*?)^```", page, re.MULTILINE | re.DOTALL)
     (tmp_path / "two_floors.py").write_text(block, encoding="utf-8")
     shown = terminal("run", "two_floors.py", "--only", "r_1", lines=60)
     for asked, said in (

@@ -150,3 +150,9 @@ def test_spans_are_laid_on_the_runs_clock_by_the_quickest_row():
 def test_a_time_column_that_is_not_there_is_told():
     with pytest.raises(PluginError, match="no time in column 'when'"):
         row_times([{"t": 1}], [0.0], TimeColumn("when"), utc_offset=0.0)
+
+
+def test_the_unit_of_times_is_how_many_seconds_it_has_and_not_its_name() -> None:
+    with pytest.raises(PluginError, match="unit is 'ms'") as refused:
+        TimeColumn("t", TimeKind.UTC, "ms")  # type: ignore[arg-type]
+    assert "Give unit a number above 0" in str(refused.value)

@@ -137,7 +137,8 @@ def choose_file(files: Sequence[SampleFile], plugin: str | None, name: str | Non
         AnalysisError: none or several fit; the error names the existing ones.
     """
     if not files:
-        raise AnalysisError("there are no raw samples", where="samples", fix="Look at the runs' folders.")
+        fix = "Have runs write CSV files with a column of times, time_s (s), into context.raw_data_folder."
+        raise AnalysisError("there are no raw samples", where="samples", fix=fix)
     plugins = list(dict.fromkeys(file.plugin for file in files))
     if plugin is not None and plugin not in plugins:
         raise AnalysisError(f"plugin {plugin!r} has no raw samples", where="samples", fix=did_you_mean(plugin, plugins))

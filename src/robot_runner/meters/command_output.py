@@ -14,6 +14,7 @@ from robot_runner.core.events.measure import Measure, Over
 from robot_runner.core.events.window import Window
 from robot_runner.core.words import shown_duration
 from robot_runner.measuring.device_clock import fit_clock
+from robot_runner.measuring.parameter_checks import check_numbers
 from robot_runner.measuring.series import Series, cut, growth, mean_of_intervals
 
 #: The cells of one row by the name of their column, as text or as numbers.
@@ -82,6 +83,9 @@ class TimeColumn:
         kind: its content.
         unit: of its numbers, s; 0.001 for milliseconds.
 
+    Raises:
+        PluginError: the unit is not a number above 0.
+
     Example:
         >>> TimeColumn("Time", TimeKind.UTC, unit=0.001).unit
         0.001
@@ -90,6 +94,9 @@ class TimeColumn:
     source: str
     kind: TimeKind = TimeKind.UTC
     unit: float = 1.0
+
+    def __post_init__(self) -> None:
+        check_numbers(f"the time column {self.source!r}", unit=self.unit)
 
 
 @dataclass(frozen=True, slots=True)

@@ -98,6 +98,18 @@ def test_a_value_that_many_runs_share_at_the_end_of_the_range_may_be_a_timeout(t
     assert [each for each in statistics.warnings if each.startswith("Duration may have a limit")]
 
 
+def test_of_values_at_a_limit_those_runs_are_counted_that_have_a_value(tmp_path: Path) -> None:
+    rows = [(planner, min(seconds + place / 10, TIMEOUT)) for place, (planner, seconds) in enumerate(PLACES)]
+    without: list[tuple[str, float | None]] = [
+        ("B", None),
+        ("C", None),
+    ]  # the time to detect where no fault was injected
+    root = Folder(tmp_path / "limit", {"Planner": [*DURATIONS, "C"]}, [*rows, *without], {"Duration": "s"}).write()
+    assert threats(root)[1]["Duration may have a limit"].startswith(
+        "5 of 12 runs have the largest value, 60.00 s. By Planner: B 4 of 6 runs, A 1 of 6 runs. Where that is a limit"
+    )
+
+
 def test_measured_durations_that_hardly_differ_at_the_end_of_the_range_may_be_a_timeout(tmp_path: Path) -> None:
     late = {place: TIMEOUT + place / 1000 for place, (_, seconds) in enumerate(PLACES) if seconds > TIMEOUT}
     rows = [(planner, late.get(place, seconds + place / 10)) for place, (planner, seconds) in enumerate(PLACES)]
@@ -166,3 +178,33 @@ def test_counts_zeros_and_values_of_their_own_have_no_limit(tmp_path: Path, valu
     rows = [("AB"[place % 2], value) for place, value in enumerate(values)]
     root = Folder(tmp_path / "none", {"Planner": ["A", "B"]}, rows, {"Duration": "s"}).write()
     assert not [title for title in threats(root)[1] if "limit" in title]
+
+
+REPEATED = "Repetitions have the same values"
+
+
+def test_runs_that_are_one_execution_again_are_told_as_their_p_values_are_too_small(tmp_path: Path) -> None:
+    scenes = {"A": [0.71828182845, 0.14159265358, 0.41421356237], "B": [0.61803398874, 0.73205080756, 0.23606797749]}
+    rows = [(policy, values[place % 3]) for place in range(12) for policy, values in scenes.items()]
+    root = Folder(tmp_path / "again", {"Policy": ["A", "B"]}, rows, {"Return": "1"}).write()
+    statistics, told = threats(root)
+    assert told[REPEATED].startswith(
+        "18 of 24 runs have, to the last digit, the Return of an earlier run of their combination. Where"
+    )
+    assert [each for each in statistics.warnings if each.startswith(REPEATED)]
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        [0.71828182845, 0.14159265358, 0.41421356237, 0.61803398874, 0.73205080756, 0.23606797749],  # no two are equal
+        [12.31, 12.32, 12.31, 12.31, 12.32, 12.32],  # a coarse sensor
+        [10 / 3, 11 / 3, 10 / 3, 10 / 3, 11 / 3, 11 / 3],  # means of few answers
+        [2.707692308, 4.644444444, 2.707692308, 2.707692308, 4.644444444, 4.644444444],  # durations on the simulator
+        [3.9000000000000004, 3.9, 3.9000000000000004, 3.9000000000000004, 4.1, 4.1],  # times in steps
+    ],
+)
+def test_values_that_come_twice_by_chance_are_no_repeated_execution(tmp_path: Path, values: list[float]) -> None:
+    rows = [("A", value) for value in values] + [("B", value + 1) for value in values]
+    root = Folder(tmp_path / "chance", {"Policy": ["A", "B"]}, rows, {"Return": "1"}).write()
+    assert REPEATED not in threats(root)[1]

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from robot_runner.cli.screens.progress import Progress
-from robot_runner.core.events.measure import Origin
+from robot_runner.core.events.measure import Origin, PublishedMeasure
 from robot_runner.core.execution.durations import TimeLeft
 from robot_runner.core.execution.notices import AttemptFinished, OutcomeAmended, RunRecord, WaitingForUser
 from robot_runner.core.execution.task import AttemptStatus, RunOutcome
@@ -133,6 +133,14 @@ def test_a_value_that_comes_after_the_run_counts_with_its_quality_and_its_origin
         progress.take(OutcomeAmended(after.task.run_id, after.outcome))
     assert progress.bad_values == {"Energy": {"doubtful": ["r_2"], "missing": ["r_3"]}}
     assert list(progress.origins) == ["measured"]
+
+
+def test_what_a_person_entered_is_listed_in_the_order_of_the_table(progress: Progress, notices: Any) -> None:
+    names = [f"item{number}" for number in range(1, 11)]
+    progress.take(notices.started(columns={}, asked_for=names))
+    entered = {name: PublishedMeasure(name, 3, "operator", origin=Origin.ENTERED) for name in names}
+    progress.take(OutcomeAmended("r_1", RunOutcome(AttemptStatus.DONE, measures=entered)))
+    assert list(progress.origins["entered by hand"]) == names
 
 
 def test_waiting_ends_with_the_next_run(progress: Progress, notices: Any) -> None:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import pytest
 
-from robot_runner.core.config.operator_steps import Question, read_answers
+from robot_runner.core.config.operator_steps import OperatorStep, Question, Scale, operator_measures, read_answers
 from robot_runner.core.config.preparation import prepare
 from robot_runner.core.errors import MeasureError
 
@@ -33,6 +34,10 @@ operator_steps = [
     OperatorStep("k", ask=[Question("a=b"), Question("k1", choices="ab"), Question("k2", unit=3)]),
     OperatorStep("l", ask=[Question("l1", choices=["left", "Left"]), Question("l2", float, low="1", high=2)]),
     OperatorStep("m", ask=[Question("m1", note="no"), Question("m2", optional="no")]),
+    OperatorStep("n", ask=[Scale("Floor=", ["n1", "n1"], low=1, high=5), Scale("n2", [], low=5, high=1)]),
+    OperatorStep("o", ask=[Scale("o1", ["o2"], low=1, high=5, reverse=["o3"], type=str, to=(0, 1, 2))]),
+    OperatorStep("p", ask=[Scale("p1", ["p1"], low="1", high=5, reverse="p1", to=(1, 1))]),
+    OperatorStep("q", ask=[Scale("q1", 3, low=0, high=1)]),
 ]
 """
 
@@ -53,9 +58,9 @@ def test_everything_that_is_wrong_with_steps_and_questions_is_said_at_once(write
         "steps[5]: before(Task='Video') raised UnknownFactorError: the run has no factor 'Tsk': did you mean 'Task'?",
         "steps[6]: ask holds 3, of type int",
         "steps[7], question 'Task': 'Task' is the name of a factor",
-        "steps[7], question 'v': the question is asked 2 times",
+        "steps[7], question 'v': the name is given 2 times",
         "steps[7], question 'v': no answer is taken: low is 3, and high is 2",
-        "steps[8], question 'v': the question is asked 2 times",
+        "steps[8], question 'v': the name is given 2 times",
         "steps[8], question 'v': the type is <class 'list'>",
         "steps[8], question 'w': low and high are limits of numbers, and there are answers of type str",
         "steps[8], question 'x': choice '2' is of type str, and answers of type int",
@@ -71,6 +76,21 @@ def test_everything_that_is_wrong_with_steps_and_questions_is_said_at_once(write
         "steps[15], question 'l2': low is '1', and high is 2",
         "steps[16], question 'm1': note and optional are not both True or False",
         "steps[16], question 'm2': note and optional are not both True or False",
+        "steps[17], scale 'Floor=': the name holds '='",
+        "steps[17], question 'n1': the name is given 2 times",
+        "steps[17], scale 'n2': items is []",
+        "steps[17], scale 'n2': low is 5, and high is 1",
+        "steps[18], scale 'o1': reverse: there is no item 'o3'",
+        "steps[18], scale 'o1': the type is <class 'str'>, and the mean of answers is formed",
+        "steps[18], scale 'o1': to is (0, 1, 2)",
+        "steps[18], question 'o2': low and high are limits of numbers, and there are answers of type str",
+        "steps[19], scale 'p1': the name is given 2 times",
+        "steps[19], question 'p1': the name is given 2 times",
+        "steps[19], scale 'p1': reverse is 'p1'",
+        "steps[19], scale 'p1': low is '1', and high is 5",
+        "steps[19], scale 'p1': to is (1, 1)",
+        "steps[19], question 'p1': low is '1', and high is 5",
+        "steps[20], scale 'q1': items is 3",
         ": the run table has a column of that name already",
     }
 
@@ -148,3 +168,37 @@ def test_a_step_is_for_a_treatment_that_is_a_tuple_or_for_several(
     assert experiment is not None
     (step,) = experiment.parameters.operator_steps
     assert [step.suits(run.combination) for run in experiment.model.plan()] == [True, True, False, False]
+
+
+#: The System Usability Scale: odd items are worded in favour of the system, even ones against it.
+SUS = Scale(
+    "SUS", [f"s{n}" for n in range(1, 11)], low=1, high=5, reverse=[f"s{n}" for n in range(2, 11, 2)], to=(0, 100)
+)
+
+
+@pytest.mark.parametrize("answers", ["5151515151", "1515151515", "3333333333", "4242534132", "5555555555"])
+def test_a_scale_of_ten_items_scores_as_brooke_computes_the_system_usability_scale(answers: str) -> None:
+    given = [int(each) for each in answers]
+    brooke = 2.5 * (sum(each - 1 for each in given[::2]) + sum(5 - each for each in given[1::2]))
+    assert SUS.score({f"s{n}": each for n, each in enumerate(given, 1)}) == brooke
+
+
+def test_a_score_is_the_mean_of_the_answers_their_sum_where_it_is_moved_so_and_missing_with_one_of_them() -> None:
+    mean = Scale("Load", {"a": "Mental demand", "b": "Effort", "c": "Frustration"}, low=0, high=100)
+    assert mean.score({"a": 10, "b": 20, "c": 40, "of another": 5}) == 70 / 3
+    assert replace(mean, reverse=["c"]).score({"a": 10, "b": 20, "c": 40}) == 30
+    assert replace(mean, to=(0, 300)).score({"a": 10, "b": 20, "c": 40}) == 70
+    assert replace(mean, optional=True).score({"a": 10, "b": None, "c": 40}) is None
+
+
+def test_the_measure_of_a_score_says_how_it_is_formed_and_items_that_are_notes_are_none() -> None:
+    scale = Scale("Trust", ["relied", "doubted"], low=1, high=5, reverse=["doubted"], to=(0, 100), note=True)
+    (score,) = operator_measures([OperatorStep("ask", ask=[scale])])
+    assert (score.name, score.low, score.high) == ("Trust", 0, 100)
+    assert score.description == "The mean of relied and doubted (reversed), each from 1 to 5, moved to 0 to 100."
+    kept = operator_measures([OperatorStep("ask", ask=[replace(scale, note=False)])])
+    assert [(each.name, each.low, each.high) for each in kept] == [
+        ("relied", 1, 5),
+        ("doubted", 1, 5),
+        ("Trust", 0, 100),
+    ]

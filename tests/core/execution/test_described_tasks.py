@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import csv
 import json
+import subprocess
+import sys
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -19,7 +22,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 CONFIG = """
-from robot_runner import ExperimentConfig, Factor, RunTableModel
+from robot_runner import ExperimentConfig, Factor, RunProcess, RunTableModel
 
 
 class RobotRunnerConfig(ExperimentConfig):
@@ -62,3 +65,24 @@ def test_a_revision_has_the_work_tree_that_was_made_for_it_whatever_order_a_set_
         ("commit of b", "tree of b"),
         ("commit of a", "tree of a"),
     ]
+
+
+@pytest.mark.long
+def test_a_fresh_interpreter_is_started_with_the_options_of_the_first_one(tmp_path: Path) -> None:
+    told = """
+    run_process = RunProcess.SPAWN
+
+    def create_run_table(self):
+        return RunTableModel([Factor("World", ["lab", "hall"])], data_columns=["Debug", "Options"])
+
+    def populate_run_data(self, context):
+        import sys
+        return {"Debug": __debug__, "Options": f"{sys.warnoptions} {sys._xoptions}"}
+"""
+    (tmp_path / "config.py").write_text(CONFIG.format(worlds=[]) + told, encoding="utf-8")
+    options = ["-O", "-W", "error::UserWarning", "-X", "dev"]
+    command = [sys.executable, *options, "-m", "robot_runner", "run", "config.py", "--set", "robot=none"]
+    subprocess.run(command, cwd=tmp_path, check=True, timeout=60)
+    with next(tmp_path.rglob("run_table.csv")).open(encoding="utf-8", newline="") as file:
+        values = [(row["Debug"], row["Options"]) for row in csv.DictReader(file)]
+    assert values == [("False", "['default', 'error::UserWarning'] {'dev': True}")] * 2

@@ -607,6 +607,41 @@ def test_an_answer_after_a_run_is_a_measure_of_it_entered_by_hand_and_a_note_sta
     assert list(screen.origins["entered by hand"]) == ["trust"], "the end of the session tells of it"
 
 
+def test_the_score_of_a_scale_is_a_measure_of_the_run_with_its_answers_beside_it_and_of_the_next_session(
+    execute: Callable,
+) -> None:
+    scale = (
+        'Scale("Workload", {"mental": "Mental demand", "calm": "How calm were you?"}, low=0, high=20, reverse=["calm"])'
+    )
+    body = ENERGY + steps(f'OperatorStep("fill in the questionnaire", after=True, ask=[{scale}])')
+
+    def leave(waiting: WaitingForUser) -> str | None:
+        return os.kill(os.getpid(), signal.SIGINT) if waiting.run_id == "r_2" else "15\n21\n6\n"
+
+    interrupted, person = execute(body, leave)
+    (refused,) = [each for each in person.notices if isinstance(each, AnswersRefused)]
+    assert [each.problem for each in refused.findings] == ["21 is above 20"]
+    assert [row["Workload"] for row in interrupted.table] == ["14.5", "", "", ""]
+    executed, _ = execute(body, lambda _: {"mental": "7", "calm": "20"})
+    assert [(row["mental"], row["calm"], row["Workload"]) for row in executed.table] == [
+        ("15", "6", "14.5"),
+        *(("7", "20", "3.5") for _ in range(3)),
+    ]
+    asked = next(each.questions for each in person.notices if isinstance(each, WaitingForUser))
+    assert [question.asked for question in asked] == ["Mental demand (0 to 20)", "How calm were you? (0 to 20)"]
+
+
+def test_a_score_of_before_a_run_is_known_to_its_callbacks(execute: Callable) -> None:
+    body = """
+def populate_run_data(self, context):
+    return {"Energy": context.measures["Mood"]}
+"""
+    scale = 'Scale("Mood", ["glad", "tired"], low=1, high=5, reverse=["tired"], note=True)'
+    executed, _ = execute(body + steps(f'OperatorStep("ask how they are", ask=[{scale}])'), "5\n2\n")
+    assert {(row["Energy"], row["Mood"], row.get("glad")) for row in executed.table} == {("4.5", "4.5", None)}
+    assert executed.journal("operator_step")[0]["notes"] == {"glad": 5, "tired": 2}
+
+
 def test_of_a_run_that_a_person_was_not_asked_about_nothing_else_is_explained(execute: Callable) -> None:
     body = "quality_columns = True\n" + ENERGY + steps(TRUST.replace("after=True", "after={'Task': 'Video'}"))
     executed, _ = execute(body, lambda waiting: "3\n")

@@ -15,10 +15,12 @@ from robot_runner.analysis.statistics.disclosed import Beside
 from robot_runner.analysis.statistics.execution_order import execution_order, robot_warnings
 from robot_runner.analysis.statistics.experiment_statistics import order_warnings, planned_warnings
 from robot_runner.analysis.statistics.lost_runs import (
+    REPEATED,
     failed_by_treatment,
     limits_in_words,
     missing_by_treatment,
     repeated_by_treatment,
+    repeats_in_words,
     unsuccessful_in_words,
 )
 from robot_runner.analysis.statistics.robustness import gathered
@@ -104,6 +106,8 @@ def _groups(material: Material) -> Threats:
         size = counted(design.smallest_group, "run")
         text = f"The smallest group has {size}: intervals are wide, and assumptions can hardly be checked."
         yield "Few repetitions", text, Tone.WARNING
+    for text in repeats_in_words(material.results, design, material.results.measures):
+        yield REPEATED, text, Tone.WARNING
 
 
 def _plan(material: Material) -> Threats:

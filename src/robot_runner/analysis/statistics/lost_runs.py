@@ -1,13 +1,15 @@
-"""Runs and missions that failed, values that are missing or at a limit, by treatment: what is left may look better.
+"""Runs that failed, values that are missing or at a limit, by treatment, and runs that are one execution again.
 
 Runs that fail are seldom any runs: those fail that take longer than is waited for, or drive until the battery is
 empty. A mean of the others is not that of the treatment, and no test tells. Nor does one where a timeout was written
 down as if it were how long the run took, or the time at which a mission failed as if it were what the mission takes.
+Nor does one of repetitions that are the same execution.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from fractions import Fraction
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -40,6 +42,11 @@ _MOST_FACTORS = 3
 _FEWEST_AT_LIMIT, _SHARE_AT_LIMIT, _LEAST_APART = 3, 0.1, 0.8
 #: Times that were measured at a timeout differ by the moments until it is noticed: this share of the range at the most.
 _WIDTH_OF_LIMIT = 0.01
+#: The title of what `repeats_in_words` yields.
+REPEATED = "Repetitions have the same values"
+#: Values that were rounded to so many decimals, as those of the simulator's clock, and ratios of whole numbers up to
+#: this one, as those of coarse sensors and means of few answers, come twice by chance.
+_DECIMALS, _COARSE, _ROUNDED = 9, 10**5, 1e-13
 #: What `ActionMission` calls the measure that says whether its goal was reached.
 _SUCCESS = "Success"
 
@@ -57,6 +64,8 @@ def lost_warnings(results: Results, design: DesignSummary, measures: Sequence[st
             yield f"{name} has missing values.{uneven}"
         for text in limits_in_words(results, design, name):
             yield f"{name} may have a limit: {text}"
+    for text in repeats_in_words(results, design, measures):
+        yield f"{REPEATED}: {text}"
 
 
 def failed_by_treatment(results: Results, design: DesignSummary) -> str:
@@ -111,10 +120,10 @@ def limits_in_words(results: Results, design: DesignSummary, measure: str) -> It
             is_at, nearly = values >= end - _width(known), "nearly "
         if not _is_limit(known, is_at[known.index]) or (nearly and _is_dense_below(known, is_at[known.index])):
             continue
-        at = done.loc[is_at.fillna(value=False), RUN_ID]
+        at, having = done.loc[is_at.fillna(value=False), RUN_ID], done.loc[known.index]
         yield (
             f"{len(at):,} of {counted(len(known), 'run')} have {nearly}the {word} value, "
-            f"{with_unit(float(end), results.unit(measure))}.{_by_treatment(done, set(at), design)} Where that is a "
+            f"{with_unit(float(end), results.unit(measure))}.{_by_treatment(having, set(at), design)} Where that is a "
             f"limit, such as a timeout, the true values are {beyond}: means and differences are not what they seem."
         )
 
@@ -138,6 +147,30 @@ def _is_dense_below(known: pd.Series[float], is_at: pd.Series[bool]) -> bool:
     return bool(alike.max() >= is_at.sum())
 
 
+def repeats_in_words(results: Results, design: DesignSummary, measures: Sequence[str]) -> Iterator[str]:
+    """Yield how many runs have exactly the value of another run of their combination, in another block if any."""
+    done, block = results.confirming.done, [design.block] if design.block else []
+    for name in measures:
+        if not pd.api.types.is_float_dtype(done[name]):
+            continue
+        known = done.dropna(subset=[name]).drop_duplicates([*design.factors, *block, name] if block else [RUN_ID])
+        again = known.loc[known.duplicated([*design.factors, name]), name]
+        count = sum(not _is_coarse(value) for value in again)
+        if count >= max(_FEWEST_AT_LIMIT, _SHARE_AT_LIMIT * len(known)):
+            yield (
+                f"{count:,} of {counted(len(known), 'run')} have, to the last digit, the {name} of an earlier run of "
+                "their combination. Where these are the same execution again, as with a seed that is fixed, they are "
+                "no runs of their own: p-values are too small, and intervals too narrow."
+            )
+
+
+def _is_coarse(value: float) -> bool:
+    if not np.isfinite(value) or round(value, _DECIMALS) == value:
+        return True
+    near = float(Fraction(value).limit_denominator(_COARSE))
+    return abs(near - value) <= _ROUNDED * max(1.0, abs(value))
+
+
 def unsuccessful_in_words(results: Results, design: DesignSummary) -> Iterator[str]:
     """Yield how many missions did not succeed though their runs are done, where quantities of these are analysed."""
     done = results.confirming.done
@@ -146,11 +179,11 @@ def unsuccessful_in_words(results: Results, design: DesignSummary) -> Iterator[s
         return
     for name, values in _successes(results):
         known = done[RUN_ID].map(values).dropna()
-        failed = done.loc[known.index[~known.astype(bool)], RUN_ID]
+        failed, having = done.loc[known.index[~known.astype(bool)], RUN_ID], done.loc[known.index]
         if len(failed):
             yield (
                 f"{name} is no in {len(failed):,} of {counted(len(known), 'run')}."
-                f"{_by_treatment(done, set(failed), design)} Their durations, energies and whatever else grows with "
+                f"{_by_treatment(having, set(failed), design)} Their durations, energies and whatever else grows with "
                 "time are those until they failed or were broken off: a treatment whose missions fail early looks fast "
                 "and frugal, and one whose missions end at a deadline less slow than it is. Means and tests are of all "
                 f"runs: compare {name} first."

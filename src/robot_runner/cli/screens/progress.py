@@ -61,7 +61,7 @@ class Progress:
         self._left: TimeLeft | None = None
         self._left_since = self._began
         self._columns: tuple[str, ...] = ()
-        self._asked_for: frozenset[str] = frozenset()
+        self._asked_for: tuple[str, ...] = ()
         self.run_count = 0
         self.done = 0
         self.failed = 0
@@ -115,7 +115,7 @@ class Progress:
                 self._began = self._clock()
                 self._take_left(notice.left)
                 self.run_count, self.done = notice.run_count, notice.done_count
-                self._columns, self._asked_for = tuple(notice.columns), frozenset(notice.asked_for)
+                self._columns, self._asked_for = tuple(notice.columns), tuple(notice.asked_for)
             case notices.AttemptStarted():
                 self.is_waiting = False
                 self._take_left(notice.left)

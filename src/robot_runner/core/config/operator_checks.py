@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from itertools import islice
 from typing import Any
 
-from robot_runner.core.config.operator_steps import ANSWER_TYPES, OperatorStep, Question
+from robot_runner.core.config.operator_steps import ANSWER_TYPES, OperatorStep, Question, Scale
 from robot_runner.core.design.columns import name_findings
 from robot_runner.core.design.factor import Factor
 from robot_runner.core.design.numeric_range import is_number, is_whole
@@ -24,18 +24,30 @@ def check_operator_steps(where: str, steps: Sequence[OperatorStep], model: RunTa
     """Return all problems of the steps of a config."""
     findings: list[Finding] = []
     names = Counter(step.name for step in steps if isinstance(step.name, str))
-    asked = Counter(question.name for step in steps for question in _questions(step) if isinstance(question.name, str))
+    asked = Counter(each.name for step in steps for each in _columns(step) if isinstance(each.name, str))
     for place, step in enumerate(steps):
         at = f"{where}.operator_steps[{place}]"
         findings += _step_findings(at, step, names)
         findings += _when_findings(at, step, model)
-        for question in _questions(step):
-            findings += _question_findings(f"{at}, question {question.name!r}", question, asked, model)
+        for each in _columns(step):
+            kind = "scale" if isinstance(each, Scale) else "question"
+            inside = f"{at}, {kind} {each.name!r}"
+            findings += _name_findings(inside, kind, each.name, asked, model)
+            findings += _scale_findings(inside, each) if isinstance(each, Scale) else _question_findings(inside, each)
     return findings
 
 
-def _questions(step: OperatorStep) -> list[Question]:
-    return [each for each in step.ask if isinstance(each, Question)] if isinstance(step.ask, list | tuple) else []
+def _columns(step: OperatorStep) -> Iterator[Question | Scale]:
+    """Yield the scales and questions of a step, the items of scales included."""
+    for each in step.ask if isinstance(step.ask, list | tuple) else ():
+        if isinstance(each, Question | Scale):
+            yield each
+        if isinstance(each, Scale) and _has_items(each):
+            yield from each.questions
+
+
+def _has_items(scale: Scale) -> bool:
+    return isinstance(scale.items, Mapping | list | tuple) and all(isinstance(each, str) for each in scale.items)
 
 
 def _step_findings(at: str, step: OperatorStep, names: Mapping[str, int]) -> Iterator[Finding]:
@@ -45,11 +57,12 @@ def _step_findings(at: str, step: OperatorStep, names: Mapping[str, int]) -> Ite
     elif names[name] > 1:
         yield Finding.error(at, f"there are {names[name]} steps {name!r}", "Rename or remove one.")
     if not isinstance(step.ask, list | tuple):
-        yield Finding.error(at, f"ask is {step.ask!r}", "Give a list of Question(...).")
+        yield Finding.error(at, f"ask is {step.ask!r}", "Give a list of Question(...) and Scale(...).")
     else:
         for each in step.ask:
-            if not isinstance(each, Question):
-                yield Finding.error(at, f"ask holds {each!r}, of type {type(each).__name__}", "Give Question(...).")
+            if not isinstance(each, Question | Scale):
+                problem = f"ask holds {each!r}, of type {type(each).__name__}"
+                yield Finding.error(at, problem, "Give Question(...) or Scale(...).")
     every = step.every
     if every is not None and (not is_whole(every) or every < 1):
         yield Finding.error(at, f"every is {every!r}", "Give a whole number of runs, 1 or more.")
@@ -110,18 +123,47 @@ def _tried(at: str, rule: str, step: OperatorStep, model: RunTableModel) -> Iter
             return
 
 
-def _question_findings(
-    at: str, question: Question, asked: Mapping[str, int], model: RunTableModel | None
+def _name_findings(
+    at: str, kind: str, name: str, asked: Mapping[str, int], model: RunTableModel | None
 ) -> Iterator[Finding]:
-    name, kind = question.name, question.kind
     factors = [factor.name for factor in model.factors] if model is not None else []
-    yield from name_findings(name, kind="question", repetitions=model.repetitions if model is not None else 1)
+    yield from name_findings(name, kind=kind, repetitions=model.repetitions if model is not None else 1)
     if isinstance(name, str) and asked[name] > 1:
-        yield Finding.error(at, f"the question is asked {counted(asked[name], 'time')}", "Rename or remove one.")
+        yield Finding.error(at, f"the name is given {counted(asked[name], 'time')}", "Rename or remove one.")
     if name in factors:
-        yield Finding.error(at, f"{name!r} is the name of a factor", "Rename the question.")
+        yield Finding.error(at, f"{name!r} is the name of a factor", f"Rename the {kind}.")
     if isinstance(name, str) and "=" in name:
         yield Finding.error(at, "the name holds '='", "Leave it out: answers are given as NAME=VALUE.")
+
+
+def _scale_findings(at: str, scale: Scale) -> Iterator[Finding]:
+    if not _has_items(scale) or not scale.items:
+        fix = 'Give what is asked by column, such as {"mental": "Mental demand"}, or a list of columns.'
+        yield Finding.error(at, f"items is {scale.items!r}", fix)
+    elif not isinstance(scale.reverse, list | tuple):
+        yield Finding.error(at, f"reverse is {scale.reverse!r}", "Give a list of items.")
+    else:
+        for each in scale.reverse:
+            if each not in scale.items:
+                yield Finding.error(at, f"reverse: there is no item {each!r}", did_you_mean(str(each), scale.items))
+    if scale.type not in {int, float}:
+        yield Finding.error(at, f"the type is {scale.type!r}, and the mean of answers is formed", "Give int or float.")
+    if not _is_span((scale.low, scale.high)):
+        fix = "Give two finite numbers, low the smaller one."
+        yield Finding.error(at, f"low is {scale.low!r}, and high is {scale.high!r}", fix)
+    if scale.to is not None and not _is_span(scale.to):
+        yield Finding.error(at, f"to is {scale.to!r}", "Give the least and the largest score, such as (0, 100).")
+
+
+def _is_span(limits: Any) -> bool:
+    match limits:
+        case [least, largest]:
+            return is_number(least) and is_number(largest) and least < largest
+    return False
+
+
+def _question_findings(at: str, question: Question) -> Iterator[Finding]:
+    kind = question.kind
     if not isinstance(question.choices, list | tuple):
         yield Finding.error(at, f"choices is {question.choices!r}", "Give a list.")
         return

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from math import fsum
 from typing import Any
 
 from robot_runner.core.design.factor import treatments_are_equal
 from robot_runner.core.design.numeric_range import is_number
 from robot_runner.core.errors import Finding, MeasureError, did_you_mean
 from robot_runner.core.events.measure import Measure, MeasureValue, as_measure_value
+from robot_runner.core.words import enumerated
 
 #: A class, such as float.
 AnswerType = type
@@ -152,6 +154,64 @@ class Question:
         return cls(str(facts["name"]), ANSWER_TYPES[facts["type"]], **plain)
 
 
+@dataclass(frozen=True, slots=True)
+class Scale:
+    """Several questions about a run whose answers make one score, such as NASA-TLX or SUS: their mean.
+
+    Attributes:
+        name: the column of the score, which is a measure of the run.
+        items: what the person reads, by the column of the answer; or the columns alone.
+        low, high: the least and the largest answer, of all items.
+        type: of the answers, int or float.
+        reverse: the items whose answers count from the other end, as `low + high` less the answer.
+        to: the least and the largest score, such as `(0, 100)`; by default `low` and `high`.
+        note: whether the answers, not the score, are notes in the journal instead of measures.
+        optional: whether an empty answer is accepted; there is no score then.
+
+    Example:
+        >>> Scale("Trust", ["relied", "doubted"], low=1, high=5, reverse=["doubted"]).score({"relied": 5, "doubted": 2})
+        4.5
+    """
+
+    name: str
+    items: Mapping[str, str] | Sequence[str]
+    low: float = field(kw_only=True)
+    high: float = field(kw_only=True)
+    type: AnswerType = field(default=int, kw_only=True)
+    reverse: Sequence[str] = field(default=(), kw_only=True)
+    to: tuple[float, float] | None = field(default=None, kw_only=True)
+    note: bool = field(default=False, kw_only=True)
+    optional: bool = field(default=False, kw_only=True)
+
+    @property
+    def questions(self) -> tuple[Question, ...]:
+        """The items as questions."""
+        texts = self.items.items() if isinstance(self.items, Mapping) else [(name, "") for name in self.items]
+        facts: dict[str, Any] = {name: getattr(self, name) for name in ("low", "high", "note", "optional")}
+        return tuple(Question(name, self.type, text=text, **facts) for name, text in texts)
+
+    @property
+    def measure(self) -> Measure:
+        """The score; its description says how it is formed."""
+        names = [f"{name} (reversed)" if name in self.reverse else name for name in self.items]
+        moved = "" if self.to is None else f", moved to {self.to[0]} to {self.to[1]}"
+        least, largest = self.to or (self.low, self.high)
+        formed = f"The mean of {enumerated(names)}, each from {self.low} to {self.high}{moved}."
+        return Measure(self.name, "", formed, low=least, high=largest)
+
+    def score(self, answers: Mapping[str, MeasureValue]) -> float | None:
+        """Return the score that answers, by item, make; None where one of them is missing."""
+        given = {name: answers[name] for name in self.items}
+        counted = [self.low + self.high - x if name in self.reverse else x for name, x in given.items() if is_number(x)]
+        if len(counted) < len(given):
+            return None
+        if self.to is None:
+            return fsum(counted) / len(counted)
+        least, largest = self.to
+        above = fsum(counted) - len(counted) * self.low
+        return least + above * (largest - least) / (len(counted) * (self.high - self.low))
+
+
 def _shown(choice: Any) -> str:
     return ("yes" if choice else "no") if isinstance(choice, bool) else str(choice)
 
@@ -170,7 +230,7 @@ class OperatorStep:
         first: once, before the first run.
         before: only before these runs; can be combined with any of the three above.
         after: after each run that is done (`True`), or after these runs; cannot be combined.
-        ask: the questions once it is done.
+        ask: the questions once it is done, and scales of several.
 
     Example:
         >>> OperatorStep("place the robot at A", before={"Room": "lab"}).suits({"Room": "lab"})
@@ -178,12 +238,24 @@ class OperatorStep:
     """
 
     name: str
-    ask: Sequence[Question] = ()
+    ask: Sequence[Question | Scale] = ()
     every: int | None = None
     when_changes: str | Sequence[str] = ()
     first: bool = False
     before: StepCondition | None = None
     after: StepCondition | bool | None = None
+
+    @property
+    def questions(self) -> tuple[Question, ...]:
+        """All that is asked, the items of scales included."""
+        return tuple(
+            question for each in self.ask for question in (each.questions if isinstance(each, Scale) else (each,))
+        )
+
+    @property
+    def scales(self) -> tuple[Scale, ...]:
+        """The scales among what is asked."""
+        return tuple(each for each in self.ask if isinstance(each, Scale))
 
     @property
     def is_after(self) -> bool:
@@ -219,24 +291,24 @@ def _treatments_among(wanted: Any) -> Sequence[Any]:
 
 
 def operator_measures(steps: Sequence[OperatorStep]) -> tuple[Measure, ...]:
-    """Return the measures of the answers of steps."""
-    return tuple(
-        Measure(
-            question.name,
-            question.unit,
-            f"Entered by hand when this was done: {step.name}.",
-            low=question.low,
-            high=question.high,
-        )
-        for step in steps
-        for question in step.ask
-        if not question.note
-    )
+    """Return the measures of the answers of steps, and of their scores."""
+    measures: list[Measure] = []
+    for step in steps:
+        entered = f"Entered by hand when this was done: {step.name}."
+        measures += [
+            Measure(each.name, each.unit, entered, low=each.low, high=each.high)
+            for each in step.questions
+            if not each.note
+        ]
+        measures += [scale.measure for scale in step.scales]
+    return tuple(measures)
 
 
 def asked_after(steps: Sequence[OperatorStep]) -> frozenset[str]:
-    """Return the names of the questions that are asked after runs."""
-    return frozenset(question.name for step in steps if step.is_after for question in step.ask)
+    """Return the names of what is known after runs only: of questions, and of scores."""
+    after = [step for step in steps if step.is_after]
+    questions = {question.name for step in after for question in step.questions}
+    return frozenset(questions.union(scale.name for step in after for scale in step.scales))
 
 
 def read_answers(

@@ -197,10 +197,11 @@ class Operator:
     def _sorted(
         self, step: OperatorStep, answers: Mapping[str, MeasureValue]
     ) -> tuple[dict[str, MeasureValue], dict[str, MeasureValue]]:
-        """Return the answers that are measures, by column, and those that are notes."""
+        """Return the answers that are measures and the scores that they make, by column, and the notes."""
         columns = self._experiment.columns
-        notes = {question.name: answers[question.name] for question in step.ask if question.note}
+        notes = {question.name: answers[question.name] for question in step.questions if question.note}
         measures = {name: value for name, value in answers.items() if name not in notes}
+        measures |= {scale.name: scale.score(answers) for scale in step.scales}
         return {columns.column_for(OPERATOR_OWNER, name).name: value for name, value in measures.items()}, notes
 
     def _ask(
@@ -225,7 +226,7 @@ class Operator:
     def _asked(self, run: PendingRun, place: str, step: OperatorStep | None) -> Steps[dict[str, MeasureValue] | None]:
         if self._has_ended(step):
             return None
-        name, questions = (step.name, tuple(step.ask)) if step else ("", ())
+        name, questions = (step.name, step.questions) if step else ("", ())
         asked = [question.as_mapping() for question in questions]
         facts: dict[str, Any] = {"next_run": run.run_id, "step": name, "questions": asked}
         if place:
@@ -251,7 +252,7 @@ class Operator:
             repetition=task.repetition,
             place=place,
             step=step.name if step else "",
-            questions=tuple(step.ask) if step else (),
+            questions=step.questions if step else (),
             is_after=is_after,
             runs_left=None if is_after else self._progress.runs_left(run),
             left=self._progress.time_left,
