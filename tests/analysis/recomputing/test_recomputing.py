@@ -168,6 +168,19 @@ DESIGNS: dict[str, tuple[list[Factor], int, set[int], dict[str, Any]]] = {
     "yes or no, two factors": ([TASKS, MAPS], 7, {2, 3}, {"analysis": {"measures": ["Energy", "CPU"]}}),
     "yes or no, blocks": ([TASKS, MAPS], 9, {4}, {"blocks": "Repetition"}),
     "yes or no, two blocks": ([TASKS, MAPS], 2, set(), {"blocks": "Repetition"}),
+    "yes or no, a run of each in a block": ([TASKS], 9, {4}, {"blocks": "Repetition"}),
+    "yes or no, replicated blocks, two always succeed": (
+        [Factor("Room", list("abcde")), TASKS],
+        4,
+        {1},
+        {"blocks": "Room"},
+    ),
+    "yes or no, replicated blocks": (
+        [Factor("Room", ["a", "b", "c", "d", "e"]), TASKS],
+        3,
+        {1, 2, 9, 16},
+        {"blocks": "Room"},
+    ),
     "conditional factors": ([SENSOR, BEAMS, RESOLUTION, MAPS], 3, {1, 9}, {"analysis": NESTED_PLAN}),
     "a conditional factor, blocks": ([SENSOR, RESOLUTION, MAPS], 8, {4}, {"blocks": "Repetition"}),
     "yes or no, a conditional factor": ([SENSOR, BEAMS, MAPS], 6, {4}, {}),
@@ -258,6 +271,7 @@ def experiment(folder: Path, name: str) -> Path:
         if "tiny differences" in name:
             energy = 50 + energy * 1e-7
         told = bool(random.random() < 0.3 + 0.2 * effect) if "yes or no" in name else float(energy)
+        told = told or ("two always succeed" in name and treatments["Task"] != "Idle")
         beside = float(random.lognormal()) * (1e11 if "bytes" in name else 1)  # far from the size of other columns
         return None if next(runs) in missing else {"Energy": told, "CPU": beside}
 
@@ -352,6 +366,7 @@ IN_R = IN_BOTH | {
     "replicated blocks",
     "combinations without runs",
     "yes or no, two blocks",
+    "yes or no, replicated blocks, two always succeed",
     "a conditional factor, blocks",
     "a surface",
 }

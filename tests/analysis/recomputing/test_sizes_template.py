@@ -75,3 +75,14 @@ def test_an_effect_whose_p_value_is_one_has_no_size_in_r() -> None:
         timeout=300,
     )
     assert finished.stdout == "1 NA NA NA"
+
+
+def test_an_effect_whose_p_value_is_a_limit_of_its_interval_has_an_end_of_0() -> None:
+    """Of two blocks that differ by 0 and 1, t = 1 is the median of its distribution: no sign changes beyond it."""
+    template = (TEMPLATES / "sizes.py.j2").read_text(encoding="utf-8")
+    formula = template[template.index("def norm_limits(") : template.index("def omega_squared(")]
+    space: dict[str, Any] = {"np": np, "special": special, "stats": stats, "optimize": optimize}
+    exec(formula, space)  # noqa: S102 - the point
+    low, middle, high = space["norm_limits"](1.0000000000000002, 1, 1, 0.9)
+    assert (low, middle) == (0, pytest.approx(0, abs=1e-3))
+    assert high > 1

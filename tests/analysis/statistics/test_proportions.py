@@ -17,7 +17,7 @@ from tests.analysis.statistics.designed_data import designed
 from robot_runner.analysis import analyse, load_results
 from robot_runner.analysis.statistics.disclosed import Reason
 from robot_runner.analysis.statistics.grouped_runs import Group
-from robot_runner.analysis.statistics.proportions import Strata, _proportion
+from robot_runner.analysis.statistics.proportions import QUANTITY, Strata, _proportion
 from robot_runner.core.design.analysis_plan import AnalysisPlan, Estimand, Hypothesis
 from robot_runner.core.design.factor import Factor
 
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-    from robot_runner.analysis.statistics.outcome import ExperimentStatistics
+    from robot_runner.analysis.statistics.outcome import ExperimentStatistics, MeasureStatistics
 
 PLANNER = Factor("Planner", ["DWB", "TEB"])
 ROOM = Factor("Room", ["lab", "hall", "yard"])
@@ -188,15 +188,106 @@ def test_runs_are_compared_within_their_block(tmp_path: Path) -> None:
     assert "of one block" in found.test.reason
 
 
-@pytest.mark.parametrize("runs", [1, 3])
-def test_that_blocks_respond_alike_is_taken_for_granted_and_said_where_they_have_several_runs(
-    tmp_path: Path, runs: int
-) -> None:
-    answers = {(planner, room): said(planner == "DWB" or room == "lab", runs) for planner, room in IN_ROOMS}
-    found = analysed(tmp_path, [PLANNER, ROOM], answers, blocks="Room").measure("Success")
+#: How many of five runs say yes in each of six blocks.
+IN_SIX_BLOCKS = {"DWB": (5, 4, 5, 3, 4, 5), "TEB": (2, 3, 4, 3, 1, 3), "MPPI": (4, 4, 2, 5, 3, 4)}
+
+
+def in_blocks(folder: Path, counts: dict[str, tuple[int, ...]]) -> MeasureStatistics:
+    """Analyse planners in blocks of five runs of each."""
+    blocks = [f"room {place}" for place in range(6)]
+    yes = {(planner, block): said(of, 5) for planner, k in counts.items() for block, of in zip(blocks, k, strict=True)}
+    factors = [Factor("Planner", list(counts)), Factor("Room", blocks)]
+    return analysed(folder, factors, yes, blocks="Room").measure("Success")
+
+
+def test_shares_of_blocks_are_compared_where_these_have_several_runs_of_a_treatment(tmp_path: Path) -> None:
+    """Exact tests would take runs of a block for independent, and find (p = 0.010) what may be of some rooms only."""
+    found = in_blocks(tmp_path, {name: IN_SIX_BLOCKS[name] for name in ("DWB", "TEB")})
     assert found.test is not None
-    notes = [note for note in found.test.notes if note.startswith("Runs of one Room count as independent")]
-    assert bool(notes) is (runs > 1)
+    (effect,), (pair,) = found.test.effects, found.post_hoc[0].comparisons
+    # R 4.2.2: t.test(20 * dwb, 20 * teb, paired = TRUE); summary(aov(yes ~ planner + Error(room / planner))).
+    assert [effect.p_value, pair.p_value] == pytest.approx([0.01986805] * 2, abs=5e-9)
+    assert (effect.statistic, effect.degrees_of_freedom) == (pytest.approx(11.36364**0.5), (5.0,))
+    assert pair.difference == pytest.approx(33.33333333)
+    assert pair.interval is not None
+    assert (pair.interval.low, pair.interval.high) == pytest.approx((7.914739839, 58.751926827))
+    assert (found.test.estimand, found.post_hoc[0].quantity) == ("proportion", QUANTITY)
+    assert found.test.reason == (
+        "One factor with 2 treatments, in blocks: means are compared within each block, and chance is how blocks "
+        "differ in that. The measure is yes or no: shares of yes are compared, as means are."
+    )
+    assert effect.conclusion.startswith(
+        "Planner has an effect on Success: the proportion of DWB is higher than that of TEB by 33.33 percentage points"
+    )
+
+
+def test_three_treatments_within_blocks_of_several_runs_have_the_analysis_of_variance_of_their_shares(
+    tmp_path: Path,
+) -> None:
+    found = in_blocks(tmp_path, IN_SIX_BLOCKS).test
+    assert found is not None
+    # R: anova(lm(shares ~ 1), X = ~1, test = "Spherical"), by Huynh and Feldt.
+    assert found.effects[0].statistic == pytest.approx(3.87755, abs=5e-6)
+    assert found.effects[0].p_value == pytest.approx(0.05667403539)
+
+
+def test_factors_within_blocks_are_tested_with_interactions_by_shares(tmp_path: Path) -> None:
+    """In R 4.2.2: summary(aov(yes ~ planner * load + Error(block / (planner * load))))."""
+    by_block = ["1110", "1100", "1010", "1101", "0100", "1111"]
+    cells = [("DWB", "empty"), ("DWB", "full"), ("TEB", "empty"), ("TEB", "full")]
+    yes: dict[tuple[str, ...], list[bool | None]] = {
+        cell: [of[place] == "1" for of in by_block] for place, cell in enumerate(cells)
+    }
+    found = analysed(tmp_path, [PLANNER, Factor("Load", ["empty", "full"])], yes, blocks="Repetition").measure(
+        "Success"
+    )
+    assert found.test is not None
+    figures = {each.label: (each.statistic**2, each.p_value) for each in found.test.effects if each.statistic}
+    assert figures["Planner"] == pytest.approx((7.35294, 0.042194), rel=1e-5)
+    assert figures["Load"] == pytest.approx((0.12195, 0.74115), rel=1e-4)
+    assert figures["Planner x Load"] == pytest.approx((0.29412, 0.61088), rel=1e-4)
+
+
+def test_intervals_of_differences_of_shares_end_at_100_points(tmp_path: Path) -> None:
+    found = in_blocks(tmp_path, {"DWB": (5, 5, 5, 5, 5, 5), "TEB": (0, 0, 0, 0, 0, 2)})
+    (pair,) = found.post_hoc[0].comparisons
+    assert pair.interval is not None
+    assert (pair.difference, pair.interval.high) == (pytest.approx(100 * 28 / 30), 100)
+    assert 0 < pair.interval.low < 90
+
+
+def test_where_all_blocks_respond_in_the_same_way_the_exact_test_serves_and_says_so(tmp_path: Path) -> None:
+    found = in_blocks(tmp_path, {"DWB": (5,) * 6, "TEB": (0,) * 6}).test
+    assert found is not None
+    assert found.effects[0].test == "exact Cochran-Mantel-Haenszel"
+    assert found.effects[0].p_value == pytest.approx(2 * math.comb(10, 5) ** -6)
+    assert [note for note in found.notes if "all of these respond in the same way: so runs of one count" in note]
+
+
+@pytest.mark.long
+def test_pairs_that_differ_alike_in_all_blocks_have_their_exact_test(tmp_path: Path) -> None:
+    counts = {"DWB": (5,) * 6, "TEB": (2, 3, 4, 3, 1, 3), "MPPI": (5,) * 6, "None": (0,) * 6}
+    (of,) = in_blocks(tmp_path, counts).post_hoc
+    pairs = {(each.first, each.second): each for each in of.comparisons}
+    p_values = {pair: each.p_value for pair, each in pairs.items()}
+    shares = (np.array(counts["DWB"]) - np.array(counts["TEB"])) / 5
+    assert p_values["DWB", "TEB"] == pytest.approx(stats.ttest_1samp(shares, 0).pvalue)
+    assert p_values["DWB", "None"] == pytest.approx(2 * math.comb(10, 5) ** -6)
+    alike = pairs["DWB", "MPPI"]
+    assert (alike.p_value, alike.adjusted_p_value, alike.difference) == (1, 1, 0)
+    assert alike.interval is not None
+    assert alike.interval.method == "Newcombe's score interval"
+    assert pairs["DWB", "None"].is_significant
+    assert of.method.endswith("exact tests where all blocks differ in the same way")
+
+
+def test_blocks_with_a_run_of_each_treatment_have_the_exact_test(tmp_path: Path) -> None:
+    """Its level does not depend on how blocks respond."""
+    yes = {("DWB",): said(6, 6), ("TEB",): said(1, 6)}
+    found = analysed(tmp_path, [PLANNER], yes, blocks="Repetition").measure("Success").test
+    assert found is not None
+    assert found.effects[0].test == "exact Cochran-Mantel-Haenszel"
+    assert not [note for note in found.notes if "count as independent" in note]
 
 
 def test_a_treatment_that_always_succeeds_is_no_obstacle(tmp_path: Path) -> None:

@@ -11,6 +11,7 @@ supersedes the t test, Journal of Experimental Psychology: General 142, 2013, fo
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -33,6 +34,8 @@ _PERCENT = 100.0
 _FEWEST = 2
 #: Values with a smaller spread, as a share of their size, differ only by rounding.
 _ROUNDING = 1e-12
+#: A bias of a smaller share of the values is that of their last binary places.
+_LAST_PLACES = 4 * np.finfo(np.float64).eps
 
 
 class DifferenceTest(NamedTuple):
@@ -151,8 +154,14 @@ def agreement_of(
     if not len(differences):
         return None
     # Of experiments of different sizes, some runs are in no pair, and still tell where the mean lies.
-    means = [float(second.mean() - first.mean()) for first, second in groups.values() if len(first) * len(second)]
+    means = [
+        math.fsum((*second / len(second), *-first / len(first)))
+        for first, second in groups.values()
+        if len(first) * len(second)
+    ]
     bias = float(np.average(means, weights=[len(several) for several in pairs.values()]))
+    if abs(bias) <= _LAST_PLACES * max(float(np.abs(each).max()) for of in groups.values() for each in of if len(each)):
+        bias = 0.0
     spread = spread_of(differences) if has_limits else None
     reach = None if spread is None else spread * _SPREAD
     references = (

@@ -36,7 +36,8 @@ from robot_runner.analysis.statistics.descriptive import quiet
 from robot_runner.analysis.statistics.known_precision import level_of_looks
 from robot_runner.analysis.statistics.lenth_test import LENTH, LenthModel
 from robot_runner.analysis.statistics.linear_model import FittedModel
-from robot_runner.analysis.statistics.proportions import in_points
+from robot_runner.analysis.statistics.proportions import QUANTITY
+from robot_runner.analysis.statistics.shares import in_points
 from robot_runner.analysis.statistics.strata_model import StrataModel
 from robot_runner.analysis.statistics.surface_model import SurfaceModel
 from robot_runner.analysis.statistics.tested import Effect, NotComputed, PostHoc, TestMethod
@@ -335,7 +336,12 @@ def _paired(post_hoc: PostHoc, key: str, of: str, data: MeasureData | None) -> P
     adjusted = Reported.of([(label, {"adjusted p": each.adjusted_p_value}) for label, each in pairs])
     reported = Reported.of([(label, pair_row(each, of)) for label, each in pairs])
     others = () if data is None else tuple(data.others(post_hoc.factors))
-    return Paired(key, post_hoc.factors, others, reported, adjusted, _chosen(post_hoc, data))
+    exact = tuple(
+        (place, each.first, each.second)
+        for place, (_, each) in enumerate(pairs, start=1)
+        if post_hoc.quantity == QUANTITY and each.statistic is None and each.p_value is not None
+    )
+    return Paired(key, post_hoc.factors, others, reported, adjusted, _chosen(post_hoc, data), exact)
 
 
 def _chosen(post_hoc: PostHoc, data: MeasureData | None) -> tuple[int, ...]:

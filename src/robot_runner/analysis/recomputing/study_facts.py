@@ -87,6 +87,7 @@ class Paired:
     Attributes:
         others: the other factors, whose combinations are compared separately.
         chosen: the numbers of the compared pairs, from 1; empty if all are compared.
+        exact: the numbers, from 1, and treatments of the pairs of proportions that have the exact test.
     """
 
     key: str
@@ -94,7 +95,8 @@ class Paired:
     others: tuple[str, ...]
     reported: Reported
     adjusted: Reported
-    chosen: tuple[int, ...] = ()
+    chosen: tuple[int, ...]
+    exact: tuple[tuple[int, str, str], ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -393,7 +395,6 @@ class StudyFacts:
                 found += [measure.compared.tested, measure.compared.contrasted]
                 if (surface := measure.compared.surface) is not None:
                     found += [surface.reported, surface.whole]
-            if measure.answered is not None:
-                found.append(measure.answered.tested)
+            found += [] if measure.answered is None else [measure.answered.tested]
             found += [each for pair in measure.pairs for each in (pair.reported, pair.adjusted)]
         return tuple(found)

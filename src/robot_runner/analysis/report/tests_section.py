@@ -275,12 +275,9 @@ def _about_brackets(post_hoc: PostHoc) -> str:
     """Return a sentence on the intervals of pairs."""
     intervals = (pair.interval for pair in post_hoc.comparisons if pair.interval is not None)
     level = next((shown_level(each.level) for each in intervals), "")
-    # Exact tests of differences are not inverted: for proportions, the test decides.
-    belong = (
-        "say how large differences may be; p decides whether there is one"
-        if post_hoc.quantity == QUANTITY
-        else "belong to p"
-    )
+    # Exact tests, which have no statistic, are not inverted: of proportions, the test decides.
+    is_exact = post_hoc.quantity == QUANTITY and any(pair.statistic is None for pair in post_hoc.comparisons)
+    belong = "say how large differences may be; p decides whether there is one" if is_exact else "belong to p"
     return f"{level} confidence intervals, in brackets, {belong}.".lstrip()
 
 

@@ -24,18 +24,14 @@ from robot_runner.analysis.statistics.execution_order import execution_order
 from robot_runner.analysis.statistics.families import contrasts_of
 from robot_runner.analysis.statistics.known_precision import level_of_looks
 from robot_runner.analysis.statistics.left_out import false_positives
-from robot_runner.analysis.statistics.linear_model import FittedModel
 from robot_runner.analysis.statistics.outcome import Description, MeasureStatistics, Power
 from robot_runner.analysis.statistics.post_hoc import MOST_PAIRS, carry_out_contrast, compare_pairs, missing_intervals
 from robot_runner.analysis.statistics.proportions import (
-    PROPORTION,
-    QUANTITY,
     carry_out_proportions,
     compare_proportions,
-    in_points,
     proportions_of,
 )
-from robot_runner.analysis.statistics.strata_model import StrataModel
+from robot_runner.analysis.statistics.shares import compare_shares
 from robot_runner.analysis.statistics.surface_model import SurfaceModel
 from robot_runner.analysis.statistics.tested import (
     AssumptionCheck,
@@ -47,7 +43,6 @@ from robot_runner.analysis.statistics.tested import (
 )
 from robot_runner.analysis.statistics.tests import Choices, carry_out, planned_model_of
 from robot_runner.analysis.wording import shown_number
-from robot_runner.core.design.analysis_plan import Estimand
 from robot_runner.core.design.columns import RUN_ID
 from robot_runner.core.words import counted, enumerated, listed
 
@@ -171,7 +166,7 @@ def _no_numbers(told: Sequence[object]) -> str:
     if len(texts) in {0, len(told)}:
         return "its values are neither numbers nor True and False."
     are = "is not a number" if len(set(texts)) == 1 else "are not numbers"
-    return f"{listed(dict.fromkeys(texts))} {are}, in {len(texts)} of {counted(len(told), 'run')}."
+    return f"in {len(texts)} of {counted(len(told), 'run')} it is {listed(dict.fromkeys(texts))}, which {are}."
 
 
 def _reads_as_number(told: object) -> bool:
@@ -206,7 +201,9 @@ def _of_answers(
     answers: MeasureData, measure: MeasureStatistics, gathered: _Gathered, choices: Choices, plan: AnalysisPlan | None
 ) -> MeasureStatistics:
     """Return the statistics of a yes-or-no measure."""
-    test, pairs = _of_shares(answers, choices, gathered) or _exact(answers, choices, gathered)
+    found = compare_shares(answers, choices)
+    test, pairs, missed = found if found is not None else (*_exact(answers, choices, gathered), ())
+    gathered.missing += missed
     for each in contrasts_of(plan, measure.name):
         why = "contrasts and bounds are of means; the pairs of treatments have the differences of proportions."
         gathered.missing.append(NotComputed(f"the contrast of {each.statement!r}", why))
@@ -236,41 +233,6 @@ def _exact(
         return None, ()
     pairs = [gathered.take(each) for each in compare_proportions(answers, choices, MOST_PAIRS)]
     return test, tuple(each for each in pairs if each is not None)
-
-
-def _of_shares(
-    answers: MeasureData, choices: Choices, gathered: _Gathered
-) -> tuple[MeasureTest, tuple[PostHoc, ...]] | None:
-    """Return the test and the pairs of a yes-or-no measure in squares, blocks, crossovers and split plots, else None.
-
-    Exact tests take runs for independent. In these designs those of a subject or whole plot are not, and its share of
-    yes is compared as its mean is: by simulation, 1 to 7 % of effects are found where there is none.
-    """
-    choices = replace(choices, estimand=Estimand.MEAN)
-    shares, note, apart = comparable(in_points(answers))
-    model = planned_model_of(shares, Estimand.MEAN, choices.statistic) if answers.known.columns else None
-    if not isinstance(model, StrataModel | FittedModel):  # the latter where a whole plot has lost a run
-        return None
-    test = carry_out(shares, model, choices)
-    pairs, missed = compare_pairs(shares, model, test, choices)
-    gathered.missing += [*apart, *missed]
-    return (
-        replace(
-            test,
-            notes=(note, *test.notes) if note else test.notes,
-            estimand=PROPORTION,
-            reason=f"{test.reason} The measure is yes or no: shares of yes are compared, as means are.",
-            effects=tuple(replace(each, effect_sizes=(), check=None) for each in test.effects),
-        ),
-        tuple(
-            replace(
-                each,
-                quantity=QUANTITY,
-                comparisons=tuple(replace(pair, effect_sizes=(), check_p_value=None) for pair in each.comparisons),
-            )
-            for each in pairs
-        ),
-    )
 
 
 def _lacking(data: MeasureData) -> Iterator[LeftOut]:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from importlib.metadata import version
 from itertools import combinations
 from typing import TYPE_CHECKING, NamedTuple
@@ -109,12 +109,6 @@ def _score_ends(share: float, n: float, z: float) -> tuple[float, float]:
     return max(0.0, min(share, centre - half)), min(1.0, max(share, centre + half))  # despite rounding
 
 
-def in_points(answers: MeasureData) -> MeasureData:
-    """Return a yes-or-no measure with 100 for yes, so that its means are percentages."""
-    frame, every = (of.assign(**{VALUE: 100 * of[VALUE]}) for of in (answers.frame, answers.every))
-    return replace(answers, frame=frame, every=every)
-
-
 # Tests of effects.
 
 
@@ -170,19 +164,21 @@ def _notes(data: MeasureData, effects: Sequence[Effect]) -> Iterator[str]:
     unknown = [each.factors[0] for each in effects if each.p_value is None]
     if unknown:
         yield f"No runs with different answers differ in nothing but {enumerated(unknown)}: that is not tested."
-    if data.is_blocked and any(_runs_together(data, factor) > 1 for factor in data.factors):
+    if data.is_blocked and runs_together(data) > 1:
         # In 10 to 34 %, by simulation: 4 to 10 blocks of 5 to 20 runs, log-odds that differ by a deviation of 1.
         yield (
-            f"Runs of one {data.block or 'block'} count as independent of each other: where blocks respond differently "
-            "to a treatment, a difference of all of them is found too often. Check whether it is that of each."
+            f"Too few blocks ({data.block or 'block'}) hold all combinations, or all of these respond in the same way: "
+            "so runs of one count as independent of each other. Where blocks respond differently to a treatment, a "
+            "difference of all of them is then found too often. Check whether it is that of each."
         )
     if any(len(data.levels(factor)) > _PAIR for factor in data.factors):
         yield f"p-values of three and more treatments are shares of tables dealt by chance: {_FEWEST_DRAWS:,} and more."
 
 
-def _runs_together(data: MeasureData, factor: str) -> int:
+def runs_together(data: MeasureData) -> int:
     """Return how many runs of one treatment a block has at the most."""
-    return int(data.frame.groupby([data.frame[factor].astype(str), data.blocks]).size().max())
+    counts = (data.frame.groupby([data.frame[name].astype(str), data.blocks]).size() for name in data.factors)
+    return int(max((each.max() for each in counts), default=0))
 
 
 def _effect(data: MeasureData, factor: str, alpha: float) -> Effect:

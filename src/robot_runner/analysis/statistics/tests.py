@@ -385,8 +385,8 @@ def _notes_on_values(data: MeasureData, model: AnyModel) -> Iterator[str]:
     # In other designs, shares of yes are compared as means are.
     if data.known.is_plain and np.array_equal(np.unique(data.values), (0, 1)):
         yield (
-            "All values are 0 or 1. Where these stand for no and yes, publish False and True: proportions are compared "
-            "by exact tests, however few runs there are."
+            "All values are 0 or 1. Where these stand for no and yes, publish False and True: they are compared as "
+            "proportions, by exact tests where runs are independent, however few there are."
         )
     if not isinstance(model, CellMeans) or model.layout.is_blocked:
         return
