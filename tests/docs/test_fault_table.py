@@ -15,7 +15,7 @@ def names_of_tests_in(*folders: str) -> set[str]:
 
 
 def test_every_test_that_the_table_names_exists() -> None:
-    folders = ("process", "cli", "core/execution", "core/config", "subjects", "cluster", "ros")
+    folders = ("process", "cli", "core/execution", "core/config", "core/links", "subjects", "cluster", "ros")
     assert NAMED - names_of_tests_in(*folders) == set()
 
 
