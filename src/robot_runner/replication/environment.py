@@ -162,9 +162,9 @@ def record_environment(manifest: Mapping[str, Any], config: Path) -> RecordedEnv
     packages = dict(software.get("packages") or {})
     if software.get("robot_runner"):
         packages.setdefault(_OUR_NAME, software["robot_runner"])
-    pins = {canonical(name): f"{canonical(name)}=={release}" for name, release in packages.items()}
+    pins = dict(sorted((canonical(name), f"{canonical(name)}=={release}") for name, release in packages.items()))
     odd = sorted(name for name, pin in pins.items() if not _PIN.fullmatch(pin))
-    recorded = {name: pin.partition("==")[2] for name, pin in sorted(pins.items()) if name not in odd}
+    recorded = {name: pin.partition("==")[2] for name, pin in pins.items() if name not in odd}
     installed = installed_distributions()
     same = {
         name: installed[name] for name in recorded if name in installed and installed[name].version == recorded[name]

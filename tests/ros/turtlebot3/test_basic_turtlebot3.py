@@ -281,7 +281,7 @@ def test_a_robot_that_is_blocked_on_a_long_way_fails_its_run_before_the_way_is_o
     assert played.robot.stands_still
 
 
-@pytest.mark.parametrize("slip", [0.5, -1.0], ids=["half of it", "more than it"])
+@pytest.mark.parametrize("slip", [0.5, 0.3, -1.0], ids=["half of it", "less than nine tenths", "more than it"])
 def test_a_robot_that_covered_another_way_than_planned_is_told(stage, slip):
     played = stage(slip=slip)
     measures = played.execute()

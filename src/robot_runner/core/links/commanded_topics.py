@@ -144,7 +144,7 @@ def _rejoining(
             return other
 
         def links_now() -> tuple[list[RobotLink], bool]:
-            with suppress(Exception):  # whoever commands over the link hears of it
+            with suppress(Exception):  # commanding over the link raises it, too
                 topics = () if joining else commanded
                 listed = (each.node for topic, _ in topics for each in link.subscribers(topic))
                 if isinstance(link, Rejoiner) and any(map(is_left_by_the_dead, listed)):

@@ -21,8 +21,8 @@ _KNOWN_TASKS = tuple(task.value.capitalize() for task in Task)
 #: How far from its beginning, m, a mission may end before the run is warned of.
 _NEAR = 0.1
 #: The share of the planned way by which the robot may miss it. Where more is lacking, it was blocked or its wheels
-#: slipped; where more was covered, it was pushed. On a short way `_NEAR` serves: at each end a free robot goes some
-#: 3 cm too far and back.
+#: slipped; where more was covered, it was pushed. Of a short way `_NEAR` more may be covered: at each end a free robot
+#: goes some 3 cm too far and back.
 _AMISS = 0.1
 
 
@@ -213,5 +213,5 @@ def _doubts(performance: Performance) -> Iterator[str]:
     if performance.pose_error > _NEAR:
         yield f"the mission ended {performance.pose_error:.2f} m from where it began"
     planned = performance.planned_distance
-    if abs(performance.distance - planned) > max(_AMISS * planned, _NEAR):
+    if not -_AMISS * planned <= performance.distance - planned <= max(_AMISS * planned, _NEAR):
         yield f"the robot covered {performance.distance:.2f} m of {planned:.2f} m"
