@@ -209,7 +209,8 @@ NULL_DESIGNS: tuple[NullDesign, ...] = (
     *(NullDesign((3,), 1, blocks=blocks) for blocks in (6, 10, 30)),
     *(NullDesign((3,), 1, _one_large(3), blocks=blocks) for blocks in (5, 6, 10, 30)),
     NullDesign((3,), 1, blocks=5),
-    NullDesign((4,), 1, _one_large(4), blocks=7),
+    NullDesign((3,), 1, _one_large(3), blocks=4),
+    NullDesign((4,), 1, _one_large(4), blocks=6),
     NullDesign((4,), 1, blocks=8),
     NullDesign((4,), 1, _one_large(4), blocks=8),
     NullDesign((3, 3), 1, _one_large(9), blocks=9),
@@ -247,7 +248,7 @@ NULL_DESIGNS: tuple[NullDesign, ...] = (
     NullDesign((3,), 3, _one_large(3), bounds=(5.0, 7.0), why=_TINY),
     NullDesign((5,), 3, bounds=(2.0, 5.0), why=_TINY),
     NullDesign((8,), 3, _one_large(8), bounds=(4.0, 7.0), why=_TINY),
-    NullDesign((4,), 1, blocks=6, bounds=(2.0, 4.0), why=_FEW_BLOCKS),
+    NullDesign((4,), 1, blocks=5, bounds=(1.5, 4.0), why=_FEW_BLOCKS),
     NullDesign((2, 3), 1, blocks=4, between=1, bounds=(2.5, 6.5), why=_FEW_BLOCKS),
     NullDesign((2,), (2, 8), bounds=(8.0, 10.0), why=_TWO_RUNS),
     *(

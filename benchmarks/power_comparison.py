@@ -99,7 +99,7 @@ def _classical(design: NullDesign, values: Floats) -> Floats:
     return np.asarray(stats.f.sf(f_value, *freedom))
 
 
-_FEW_BLOCKS = "Greenhouse-Geisser is careful of few blocks"
+_FEW_BLOCKS = "Huynh-Feldt is careful of few blocks"
 _BOOTSTRAP = "many groups of few runs: the bootstrap is careful"
 _WEIGHED = "Welch-James alone finds more, and less where spreads are equal"
 
@@ -110,16 +110,18 @@ def _equal_spreads() -> Iterator[NullDesign]:
     yield NullDesign((8,), 5, bounds=(-1.0, 7.0), why=_BOOTSTRAP)
     yield NullDesign((8,), 10)
     yield from (NullDesign((2,), 1, blocks=blocks) for blocks in (5, 10, 30))
-    yield NullDesign(
-        (3,), 1, blocks=5, bounds=(-1.0, 6.0), why=_FEW_BLOCKS.replace("Greenhouse-Geisser", "Huynh-Feldt")
-    )
+    yield NullDesign((3,), 1, blocks=5, bounds=(-1.0, 6.0), why=_FEW_BLOCKS)
     yield from (NullDesign((3,), 1, blocks=blocks) for blocks in (8, 10, 30))
     yield from (NullDesign((4,), 1, blocks=blocks) for blocks in (8, 15))
     yield NullDesign((3, 2), 1, blocks=10)
     for levels in (5, 6):  # of 500,000 experiments they lack 3.13 and 3.05 points
         yield NullDesign((levels,), 1, blocks=8, bounds=(-1.0, 4.0), why="exact p-values of 128 patterns of signs")
     yield NullDesign((6,), 1, blocks=10)
-    yield NullDesign((4,), 1, blocks=6, bounds=(-1.0, 15.0), why=_FEW_BLOCKS)
+    yield NullDesign((4,), 1, blocks=6, bounds=(-1.0, 4.0), why=_FEW_BLOCKS)
+    yield NullDesign((3,), 1, blocks=4, bounds=(-1.0, 9.0), why=_FEW_BLOCKS)
+    yield NullDesign(
+        (5,), 1, blocks=7, bounds=(-1.0, 15.0), why=_FEW_BLOCKS.replace("Huynh-Feldt", "Greenhouse-Geisser")
+    )
 
 
 def _unequal_spreads() -> Iterator[NullDesign]:

@@ -10,7 +10,8 @@ import numpy as np
 from scipy import stats
 
 from benchmarks.table import Judged
-from robot_runner.analysis.statistics.proportions import Strata, difference_ends
+from robot_runner.analysis.statistics.proportions import Strata
+from robot_runner.analysis.statistics.score_intervals import DIFFERENCE, sum_ends
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -63,7 +64,7 @@ def _false_positives(null: _Null, random: np.random.Generator, count: int) -> Ju
 
 def _coverage(null: _Null, random: np.random.Generator, count: int) -> Judged:
     z = float(stats.norm.isf(0.025))
-    ends = [difference_ends(*shares, z) for each in null.experiments(random, count) if (shares := each.shares())]
+    ends = [sum_ends(shares, DIFFERENCE, z) for each in null.experiments(random, count) if (shares := each.shares())]
     found = float(100 * np.mean([low <= 0 <= high for low, high in ends]))
     return Judged(f"interval of a difference, {null}", found, found, _HOLDS)
 

@@ -139,7 +139,7 @@ def test_the_command_prints_and_refuses(tmp_path, robot_runner):
     assert all(each["seconds"] <= 3600 for each in found["designs"] if each["repetitions"])
     for words, problem in (
         (["--budget", "8"], "--budget is '8'"),
-        (["--budget", "8h"], "nobody says how long a run takes"),
+        (["--budget", "8h"], "how long a run takes is not known"),
         (["--budget", "8h", "--run-time", "95s", "--hard", "Flor"], "there is no factor 'Flor'"),
         (["--budget", "8h", "--run-time", "95s", "--measure", "Energi"], "there is no measure 'Energi'"),
     ):

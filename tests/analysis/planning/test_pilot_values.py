@@ -133,8 +133,7 @@ def test_how_robots_respond_to_each_factor_is_told_apart(tmp_path: Path) -> None
 
 
 @pytest.mark.long
-def test_a_pilots_answers_are_left_to_the_other_measures(tmp_path: Path) -> None:
-    """Each of two errors had the other's fix: to name a measure, and to leave it out."""
+def test_a_pilots_answers_are_planned_with_and_can_be_left_out(tmp_path: Path) -> None:
     plan = AnalysisPlan(["Energy", "Ok"])
     study = Study.of_model("study", RunTableModel([TASK], repetitions=4), plan, {"Energy": "J", "Ok": ""})
     random = np.random.default_rng(3)
@@ -146,9 +145,14 @@ def test_a_pilots_answers_are_left_to_the_other_measures(tmp_path: Path) -> None
         measures=["Energy", "Ok"],
     )
     pilot = load_results(made.root)
-    with pytest.raises(AnalysisError) as raised:
-        power_analysis(study, Assumptions(pilot=pilot), Search(last=3, simulations=100))
-    assert "Name the other measures with --measure" in str(raised.value)
+    both = Assumptions(pilot=pilot, shares=["Ok=50"], differences=["Energy:Task=2", "Ok:Task=60"])
+    found = power_analysis(
+        study, replace(both, pilot=None, spreads=["Energy=1"]), Search(first=4, last=4, simulations=100)
+    )
+    assert [claim.measure for claim in found.scenarios[-1].claims] == ["Energy", "Ok"]
+    (energy, ok) = scenarios_of(study, both)[0].measures
+    assert (energy.is_share, ok.is_share) == (False, True)
+    assert list(ok.means.values()) == pytest.approx([75, 75])
     assumptions = Assumptions(pilot=pilot, measures=["Energy"], differences=["Task=2"])
     found = power_analysis(study, assumptions, Search(first=4, last=4, simulations=100))
     assert [claim.label for claim in found.scenarios[-1].claims] == ["effect of Task on Energy"]

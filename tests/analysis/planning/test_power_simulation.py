@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import product
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import pandas as pd
 import pytest
 from scipy import stats
 from statsmodels.stats.power import FTestAnovaPower, TTestIndPower, TTestPower
+from statsmodels.stats.proportion import confint_proportions_2indep
 from tests.analysis.made_experiment import make_experiment
 from tests.long_cases import long_but, soak_but
 
 from robot_runner.analysis import analyse, load_results
 from robot_runner.analysis.planning.assumed_values import (
+    AssumedMeasure,
     assumed_scenario,
     differences_of,
     numbers_of,
@@ -21,19 +25,21 @@ from robot_runner.analysis.planning.assumed_values import (
     with_blocks,
 )
 from robot_runner.analysis.planning.planned_study import Study
-from robot_runner.analysis.planning.power_analysis import Assumptions, power_analysis
+from robot_runner.analysis.planning.power_analysis import Assumptions, power_analysis, scenarios_of
 from robot_runner.analysis.planning.power_search import Search, search_repetitions
 from robot_runner.analysis.planning.power_simulation import Simulation
 from robot_runner.analysis.statistics.families import claim_of, effect_key
+from robot_runner.analysis.statistics.tested import TestMethod
 from robot_runner.core.design.analysis_plan import AnalysisPlan, Correction, Estimand, Family, Statistic
 from robot_runner.core.design.factor import Factor
 from robot_runner.core.design.hypothesis import Hypothesis
 from robot_runner.core.design.outliers import Outliers
 from robot_runner.core.design.run_table_model import RunTableModel
 from robot_runner.core.errors import AnalysisError
-from robot_runner.designs import Blocks
+from robot_runner.designs import Blocks, FractionalFactorial, SplitPlot
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
     from pathlib import Path
 
     from robot_runner.analysis.planning.assumed_values import Scenario
@@ -298,3 +304,152 @@ def test_where_few_blocks_keep_a_study_from_its_power_that_is_told(design: Block
     assumptions = Assumptions(spreads=["10"], differences=["Task=1"])
     notes = " ".join(power_analysis(study, assumptions, search).notes)
     assert "Day makes 3 blocks" in notes
+
+
+PLANNER, ROOM = Factor("Planner", ["DWB", "TEB"]), Factor("Room", list("abcdef"))
+NOT_WORSE = Hypothesis("TEB is not worse.", measure="Ok", factors="Planner", contrast={"DWB": 1, "TEB": -1}, below=20)
+ALIKE = Hypothesis("They are alike.", measure="Ok", factors="Planner", within=20)
+DIFFER = Hypothesis("They differ.", measure="Ok", factors="Planner", contrast={"DWB": 1, "TEB": -1})
+
+
+def bounds(*hypotheses: Hypothesis, **more: Any) -> AnalysisPlan:
+    return AnalysisPlan("Ok", hypotheses=hypotheses or (NOT_WORSE, ALIKE, DIFFER), **more)
+
+
+def answered(factors: list[Factor], plan: AnalysisPlan | None = None, **design: Any) -> Study:
+    return Study.of_model("study", RunTableModel(factors, repetitions=3, **design), plan, {"Ok": ""})
+
+
+def shares(study: Study, share: float, *differences: str) -> Scenario:
+    base = {"Ok": AssumedMeasure.of_shares("Ok", dict.fromkeys(study.cells, share))}
+    return assumed_scenario(study, ["Ok"], differences_of(study, differences, ["Ok"]), {}, base, "assumed")
+
+
+def tables(share: float, other: float, n: int) -> Iterator[tuple[int, int, float]]:
+    """Yield each number of yes of two treatments of n runs, with its probability."""
+    for one, two in product(range(n + 1), repeat=2):
+        yield one, two, float(stats.binom.pmf(one, n, share) * stats.binom.pmf(two, n, other))
+
+
+@pytest.mark.long
+def test_power_of_two_shares_is_that_of_all_tables_of_fishers_test() -> None:
+    study = answered([PLANNER])
+    simulation, key = Simulation(study, shares(study, 65, "Planner=50"), 14, seed=(5,)), effect_key("Ok", ["Planner"])
+    exact = sum(
+        chance
+        for one, two, chance in tables(0.4, 0.9, 14)
+        if stats.fisher_exact([[one, 14 - one], [two, 14 - two]]).pvalue < 0.05
+    )
+    found = np.concatenate([simulation.found(part)[key] for part in range(16)])
+    assert found.mean() == pytest.approx(exact, abs=4 * np.sqrt(exact * (1 - exact) / found.size))
+
+
+@pytest.mark.long
+def test_power_of_a_bound_of_shares_is_that_of_all_tables_within_newcombes_interval() -> None:
+    study = answered([PLANNER], bounds(NOT_WORSE, family=Family.HYPOTHESES))
+    simulation = Simulation(study, shares(study, 90, "Planner=0"), 25, seed=(5,))
+    exact = sum(
+        chance
+        for one, two, chance in tables(0.9, 0.9, 25)
+        if chance > 1e-9 and confint_proportions_2indep(one, 25, two, 25, method="newcomb", alpha=0.1)[1] < 0.2
+    )
+    found = np.concatenate([simulation.found(part)[claim_of(NOT_WORSE)] for part in range(16)])
+    assert found.mean() == pytest.approx(exact, abs=4 * np.sqrt(exact * (1 - exact) / found.size))
+
+
+#: Studies of a measure that is yes or no: as the report has it by exact tests, by shares of blocks, and of plots.
+ANSWERED: dict[str, tuple[Study, int, float]] = {
+    "runs by themselves": (answered([PLANNER, TASK], bounds()), 8, 70),
+    "batches": (answered([PLANNER], bounds()), 12, 70),
+    "a run of each in a block": (answered([PLANNER], bounds(), blocks="Repetition", shuffle=True), 14, 70),
+    "several runs in a block": (answered([ROOM, PLANNER], bounds(blocks="Room")), 4, 70),
+    "blocks that are nearly all alike": (answered([ROOM, PLANNER], bounds(blocks="Room")), 2, 97),
+    "two of three that hardly fail": (
+        answered([ROOM, Factor("Planner", ["DWB", "TEB", "MPPI"])], bounds(blocks="Room")),
+        2,
+        94,
+    ),
+    "a split plot": (
+        answered([PLANNER, Factor("Seed", range(12)), TASK], bounds(), design=SplitPlot("Planner", "Seed")),
+        3,
+        70,
+    ),
+}
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", ANSWERED)
+def test_simulated_answers_get_the_verdicts_of_the_report(name: str) -> None:
+    study, repetitions, share = ANSWERED[name]
+    batch = 5 if name == "batches" else None
+    simulation = Simulation(study, shares(study, share, "Planner=6"), repetitions, seed=(3,), first_batch=batch)
+    drawn, found, p_values = simulation.values(0, 12), simulation.found(0, 12), simulation.p_values(0, 12)
+    alike = 0
+    for experiment in range(12):
+        answers = pd.array(drawn["Ok"][experiment] > 50, dtype="boolean")
+        told = analyse(study.results(repetitions, {"Ok": answers}, batch))
+        test = told.measure("Ok").test
+        effects = {} if test is None else {effect_key("Ok", each.factors): each for each in test.effects}
+        for key in found:
+            if key in effects:
+                expected, is_found = effects[key].p_value, effects[key].is_significant
+            else:
+                outcome = [each for each in told.hypotheses if claim_of(each.hypothesis) == key]
+                expected, is_found = (outcome[0].p_value, outcome[0].is_supported) if outcome else (None, None)
+            assert p_values[key][experiment] == pytest.approx(np.nan if expected is None else expected, nan_ok=True)
+            assert found[key][experiment] == bool(is_found)
+        alike += test is None or test.method is TestMethod.PROPORTIONS
+    if "alike" in name:
+        assert 0 < alike < 12, "both tests serve"
+
+
+def test_shares_are_told_by_options_a_file_and_a_pilot(tmp_path: Path) -> None:
+    study = answered([PLANNER])
+    (told,) = scenarios_of(study, Assumptions(shares=["85%"], differences=["Planner=10"]))
+    assert told.measures[0].means == {("DWB",): 80, ("TEB",): 90}
+    (tmp_path / "means.csv").write_text("Planner,Ok\nDWB,80%\nTEB,90 %\n", encoding="utf-8")
+    (of_file,) = scenarios_of(study, Assumptions(means=tmp_path / "means.csv", measures=["Ok"]))
+    assert of_file.measures == told.measures
+    answers = {"DWB": [True] * 8 + [False] * 2, "TEB": [True] * 9 + [False]}
+    pilot = make_experiment(
+        tmp_path / "pilot",
+        [PLANNER],
+        lambda treatments, repetition: {"Ok": answers[treatments["Planner"]][repetition - 1]},
+        repetitions=10,
+        measures=("Ok",),
+    )
+    (of_pilot,) = scenarios_of(study, Assumptions(pilot=load_results(pilot.root)))
+    assert of_pilot.measures[0].means == pytest.approx(told.measures[0].means)
+    assert of_pilot.measures[0].is_share
+    with pytest.raises(AnalysisError, match="105 % of the runs of TEB would say yes to Ok"):
+        scenarios_of(study, Assumptions(shares=["Ok=95"], differences=["Planner=20"]))
+
+
+def test_rooms_that_suit_planners_differently_take_more_of_them() -> None:
+    study = answered([ROOM, PLANNER], AnalysisPlan("Ok", blocks="Room"))
+    alike = shares(study, 60, "Planner=30")
+    differing = with_blocks(alike, {"Ok": 10.0}, {"Ok": {("Planner",): 20.0}})
+    key = effect_key("Ok", ["Planner"])
+    found = [Simulation(study, each, 10, seed=(1,)).found(0)[key].mean() for each in (alike, differing)]
+    assert found[0] > found[1] + 0.2
+
+
+def test_a_factor_whose_treatments_are_alike_in_the_pilot_is_not_sought() -> None:
+    """Shares of few runs are often equal; a difference that is stated beside a pilot does not change these."""
+    study = answered([PLANNER, TASK])
+    found = search_repetitions(study, shares(study, 60, "Planner=60"), Search(first=6, last=6, simulations=50))
+    assert [found.claims[place].label for place in found.sought] == ["effect of Planner on Ok"]
+    known = replace(shares(study, 60, "Planner=60"), given=frozenset())
+    found = search_repetitions(study, known, Search(first=6, last=6, simulations=50))
+    assert [found.claims[place].label for place in found.sought] == ["effect of Planner on Ok"]
+    with pytest.raises(AnalysisError, match="no difference of Task is assumed"):
+        search_repetitions(study, known, Search(first=6, last=6, simulations=50, effects=("Task",)))
+    with pytest.raises(AnalysisError, match="no difference of Planner is assumed"):
+        search_repetitions(study, replace(shares(study, 60), given=frozenset()), Search(first=6, last=6))
+
+
+def test_a_fraction_has_no_test_of_a_success_rate() -> None:
+    design = FractionalFactorial(resolution=4)
+    study = answered([Factor(name, [0, 1]) for name in "WXYZ"], design=design)
+    with pytest.raises(AnalysisError, match="Choose a factorial, blocks or a split plot"):
+        Simulation(study, shares(study, 50, "X=40"), 6, seed=(1,))

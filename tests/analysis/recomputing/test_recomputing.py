@@ -97,6 +97,32 @@ PLAN = {
         },
     ],
 }
+SUCCESS = {
+    "measures": ["Energy"],
+    "hypotheses": [
+        *PLAN["hypotheses"][1:],
+        PLAN["hypotheses"][2] | {"statement": "They differ.", "below": None},
+        {
+            "statement": "Weighted.",
+            "measure": "Energy",
+            "factors": ["Task"],
+            "contrast": {"Video": 1, "Network": -0.5, "Idle": -0.5},
+        },
+    ],
+}
+ALWAYS = {
+    "measures": ["Energy"],
+    "hypotheses": [
+        {
+            "statement": "As good.",
+            "measure": "Energy",
+            "factors": ["Task"],
+            "contrast": {"Video": 1, "Network": -1},
+            "below": 40,
+        },
+        SUCCESS["hypotheses"][0],
+    ],
+}
 #: What would be executed if a name became code, in R or in Python.
 EVIL = '"); system("touch hacked'
 EVILS = [EVIL, "'); import os; os.system('touch hacked') #", 'a\\"b` $HOME # %% é \N{GREEK SMALL LETTER OMEGA}']
@@ -164,6 +190,14 @@ DESIGNS: dict[str, tuple[list[Factor], int, set[int], dict[str, Any]]] = {
     "combinations without runs, two runs of others": ([TASKS, MAPS], 2, {1, 7}, {}),
     "a run in a cell": ([TASKS, MAPS], 2, {1, 4}, {}),
     "yes or no": ([MAPS], 12, {1}, {}),
+    "yes or no, bounds": ([TASKS, MAPS], 12, {1, 5}, {"analysis": SUCCESS}),
+    "yes or no, bounds, replicated blocks": (
+        [Factor("Room", list("abcde")), TASKS],
+        4,
+        {1},
+        {"blocks": "Room", "analysis": SUCCESS},
+    ),
+    "yes or no, all succeed": ([Factor("Room", list("abcde")), TASKS], 4, {1}, {"blocks": "Room", "analysis": SUCCESS}),
     "yes or no, three treatments": ([TASKS], 8, set(), {}),
     "yes or no, two factors": ([TASKS, MAPS], 7, {2, 3}, {"analysis": {"measures": ["Energy", "CPU"]}}),
     "yes or no, blocks": ([TASKS, MAPS], 9, {4}, {"blocks": "Repetition"}),
@@ -173,7 +207,7 @@ DESIGNS: dict[str, tuple[list[Factor], int, set[int], dict[str, Any]]] = {
         [Factor("Room", list("abcde")), TASKS],
         4,
         {1},
-        {"blocks": "Room"},
+        {"blocks": "Room", "analysis": ALWAYS},
     ),
     "yes or no, replicated blocks": (
         [Factor("Room", ["a", "b", "c", "d", "e"]), TASKS],
@@ -272,6 +306,7 @@ def experiment(folder: Path, name: str) -> Path:
             energy = 50 + energy * 1e-7
         told = bool(random.random() < 0.3 + 0.2 * effect) if "yes or no" in name else float(energy)
         told = told or ("two always succeed" in name and treatments["Task"] != "Idle")
+        told = told or "all succeed" in name
         beside = float(random.lognormal()) * (1e11 if "bytes" in name else 1)  # far from the size of other columns
         return None if next(runs) in missing else {"Energy": told, "CPU": beside}
 
@@ -350,6 +385,7 @@ IN_BOTH = {
     "trimmed means",
     "conditional factors",
     "yes or no, a conditional factor",
+    "yes or no, bounds",
     "odd names",
     "a split plot that lost runs",
     "a split plot of two factors within, adjusted for bytes, a plot lacking one",
@@ -367,6 +403,8 @@ IN_R = IN_BOTH | {
     "combinations without runs",
     "yes or no, two blocks",
     "yes or no, replicated blocks, two always succeed",
+    "yes or no, bounds, replicated blocks",
+    "yes or no, all succeed",
     "a conditional factor, blocks",
     "a surface",
 }

@@ -183,3 +183,13 @@ def test_treatments_that_come_first_in_each_block_are_confounded_with_a_drift() 
     assert (first.is_significant, in_turn.is_significant) == (True, True)
     assert (first.is_confounded, in_turn.is_confounded) == (True, False)
     assert "may pass for an effect" in first.warning
+
+
+def test_values_that_only_rise_go_together_without_rounding():
+    for count in range(3, 60):
+        x = np.arange(float(count))
+        assert spearman(x, 12.5 - 0.05 * x)[0] == -1
+        assert spearman(x, x**3)[0] == 1
+        if count > 3:
+            nearly = np.append(x[:-2], (x[-1], x[-2]))
+            assert spearman(x, nearly)[0] < 1

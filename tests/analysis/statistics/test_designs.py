@@ -87,7 +87,7 @@ DESIGNS = {
         ["Huynh-Feldt"],
     ),
     "three treatments in few blocks": (
-        lambda values: one_factor(groups(3, values, size=4), in_blocks=True),
+        lambda values: one_factor(groups(3, values, size=3), in_blocks=True),
         TestMethod.BLOCKS,
         ["Greenhouse-Geisser"],
     ),

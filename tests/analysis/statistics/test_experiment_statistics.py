@@ -155,6 +155,14 @@ def test_a_measure_that_is_a_text(tmp_path):
     assert [each.why for each in measure.not_computed] == ["its values are neither numbers nor True and False."]
 
 
+def test_a_measure_that_is_yes_or_no_in_some_runs_and_a_number_in_others(tmp_path):
+    def mixed(treatments, repetition):
+        return {"Energy": True if repetition > 1 else 1.0}
+
+    (missing,) = statistics(tmp_path, values=mixed).measure("Energy").not_computed
+    assert missing.why == "some of its values are True or False, and others numbers: publish all as one of them."
+
+
 def test_a_measure_of_texts_that_read_as_numbers_says_how_they_become_some(tmp_path):
     measure = statistics(tmp_path, values=lambda treatments, repetition: {"Energy": f"{repetition}.5"}).measure(
         "Energy"

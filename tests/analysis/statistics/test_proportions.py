@@ -18,6 +18,7 @@ from robot_runner.analysis import analyse, load_results
 from robot_runner.analysis.statistics.disclosed import Reason
 from robot_runner.analysis.statistics.grouped_runs import Group
 from robot_runner.analysis.statistics.proportions import QUANTITY, Strata, _proportion
+from robot_runner.analysis.statistics.tested import TestMethod
 from robot_runner.core.design.analysis_plan import AnalysisPlan, Estimand, Hypothesis
 from robot_runner.core.design.factor import Factor
 
@@ -361,9 +362,106 @@ def test_hypotheses_families_and_doubtful_runs_are_as_the_plan_has_them(tmp_path
     assert measure.test is not None
     assert differ.is_supported
     assert differ.adjusted_p_value == measure.test.effects[0].adjusted_p_value
-    assert better.is_supported is None
-    assert "contrasts and bounds are of means" in better.conclusion
+    assert better.is_supported
+    assert better.p_value == measure.test.effects[0].p_value, "one test decides on a pair, whoever asks"
     assert "interactions of proportions are not tested" in interact.conclusion
+
+
+TUNED = Factor("Planner", ["DWB", "TEB", "MPPI"])
+NOT_WORSE = {"statement": "TEB is not worse.", "measure": "Success", "factors": ["Planner"]}
+NOT_WORSE |= {"contrast": {"DWB": 1, "TEB": -1}}
+
+
+def test_a_proportion_is_within_a_bound_where_the_interval_of_newcombe_is(tmp_path: Path) -> None:
+    low, high = confint_proportions_2indep(46, 50, 47, 50, method="newcomb", alpha=0.1)
+    for bound, at in (("below", high), ("within", max(high, -low))):
+        for far in (0.001, -0.001):
+            stated = NOT_WORSE | {bound: 100 * at + far}
+            found = analysed(
+                tmp_path / f"{bound}{far}",
+                [PLANNER],
+                {("DWB",): said(46, 50), ("TEB",): said(47, 50)},
+                analysis={"hypotheses": [stated], "family": "hypotheses"},
+            )
+            (outcome,), (contrast,) = found.hypotheses, found.measure("Success").contrasts
+            assert outcome.is_supported == (far > 0)
+            assert outcome.p_value == pytest.approx(0.05, abs=1e-4)
+            assert contrast.estimate == pytest.approx(-2)
+            ends = (contrast.interval.low, contrast.interval.high, contrast.interval.level)
+            assert ends == pytest.approx((100 * low, 100 * high, 0.9))
+    assert "the claim is within ±" in outcome.conclusion
+    assert "percentage points" in outcome.conclusion
+
+
+def test_treatments_that_always_succeed_are_alike_within_a_bound(tmp_path: Path) -> None:
+    answers = {("DWB",): said(30, 30), ("TEB",): said(30, 30)}
+    # The upper end of Wilson's interval of 0 of 30 at 90 %: z^2 / (30 + z^2) = 8.27 %.
+    for bound, is_supported in ((8.28, True), (8.26, False)):
+        plan = {"hypotheses": [NOT_WORSE | {"below": bound}]}
+        found = analysed(tmp_path / f"{bound}", [PLANNER], answers, analysis=plan)
+        assert found.measure("Success").test is None
+        assert found.hypotheses[0].is_supported is is_supported
+    # Where runs of a block may all respond alike, a block counts as one run: 0 of 5 is at most 35.1 %.
+    in_blocks = {(planner, room): said(6, 6) for planner in PLANNER.treatments for room in "abcde"}
+    for bound, is_supported in ((35.2, True), (35.0, False)):
+        plan = {"hypotheses": [NOT_WORSE | {"below": bound}], "blocks": "Room"}
+        found = analysed(tmp_path / f"b{bound}", [PLANNER, Factor("Room", list("abcde"))], in_blocks, analysis=plan)
+        assert found.hypotheses[0].is_supported is is_supported
+
+
+def test_two_that_always_succeed_in_all_rooms_beside_one_that_does_not_are_alike_within_a_bound(tmp_path: Path) -> None:
+    rooms = Factor("Room", list("abcde"))
+    answers = {(planner, room): said(6, 6) for planner in ("DWB", "TEB") for room in rooms.texts}
+    answers |= {("MPPI", room): said(count, 6) for room, count in zip(rooms.texts, (3, 5, 4, 2, 5), strict=True)}
+    for bound, is_supported in ((35.2, True), (35.0, False)):
+        plan = {"hypotheses": [NOT_WORSE | {"below": bound}], "family": "hypotheses", "blocks": "Room"}
+        found = analysed(tmp_path / f"{bound}", [TUNED, rooms], answers, analysis=plan)
+        assert found.hypotheses[0].is_supported is is_supported
+        assert found.measure("Success").test.method is TestMethod.BLOCKS
+
+
+def test_a_weighted_sum_of_proportions_has_the_interval_of_zou_huang_and_zhang(tmp_path: Path) -> None:
+    # Zou, Huang and Zhang 2009: from Wilson's limits of each, by statsmodels.
+    counts, weights = {"DWB": 31, "TEB": 38, "MPPI": 36}, {"DWB": -1.0, "TEB": 0.5, "MPPI": 0.5}
+    stated = NOT_WORSE | {"statement": "The tuned ones are better.", "contrast": weights}
+    answers = {(name,): said(count, 40) for name, count in counts.items()}
+    found = analysed(tmp_path, [TUNED], answers, analysis={"hypotheses": [stated]}).measure("Success")
+    (contrast,) = found.contrasts
+    total = below = above = 0.0
+    for name, count in counts.items():
+        ends = proportion_confint(count, 40, method="wilson")
+        reach = sorted(weights[name] * (end - count / 40) for end in ends)
+        total, below, above = total + weights[name] * count / 40, below + reach[0] ** 2, above + reach[1] ** 2
+    assert contrast.estimate == pytest.approx(100 * total)
+    ends = (contrast.interval.low, contrast.interval.high)
+    assert ends == pytest.approx((100 * (total - math.sqrt(below)), 100 * (total + math.sqrt(above))))
+    assert contrast.p_value < 0.05
+    assert contrast.interval.low > 0
+
+
+def test_bounds_of_shares_in_blocks_have_the_paired_t_of_these(tmp_path: Path) -> None:
+    dwb, teb = [5, 2, 5, 3, 5, 4], [2, 5, 5, 4, 3, 5]
+    rooms = Factor("Room", list("abcdef"))
+    answers = {("DWB", room): said(count, 5) for room, count in zip(rooms.texts, dwb, strict=True)}
+    answers |= {("TEB", room): said(count, 5) for room, count in zip(rooms.texts, teb, strict=True)}
+    plan = {"hypotheses": [NOT_WORSE | {"below": 20}], "blocks": "Room"}
+    found = analysed(tmp_path, [PLANNER, rooms], answers, analysis=plan)
+    shares = 20.0 * (np.array(dwb) - np.array(teb))
+    truth = stats.ttest_1samp(shares, 20, alternative="less")
+    assert found.hypotheses[0].p_value == pytest.approx(float(truth.pvalue))
+    assert found.measure("Success").contrasts[0].estimate == pytest.approx(shares.mean())
+    # t takes a treatment that hardly fails to be surer than runs are: Newcombe's interval of all runs may be wider.
+    dwb, teb = [20, 20, 20, 20, 20, 20], [20, 20, 20, 20, 20, 19]
+    answers = {("DWB", room): said(count, 20) for room, count in zip(rooms.texts, dwb, strict=True)}
+    answers |= {("TEB", room): said(count, 20) for room, count in zip(rooms.texts, teb, strict=True)}
+    plan = {"hypotheses": [NOT_WORSE | {"below": 5}], "blocks": "Room"}
+    (contrast,) = analysed(tmp_path / "surer", [PLANNER, rooms], answers, analysis=plan).measure("Success").contrasts
+    low, high = confint_proportions_2indep(120, 120, 119, 120, method="newcomb", alpha=0.1)
+    apart = 5 / 6 + np.array([-1, 1]) * stats.t.isf(0.05, 5) * 5 / 6
+    assert contrast.interval.low == pytest.approx(min(100 * low, apart[0]))
+    assert contrast.interval.high == pytest.approx(max(100 * high, apart[1]))
+    assert 100 * high > apart[1]
+    assert contrast.p_value > stats.t.sf((5 - 5 / 6) / (5 / 6), 5)
 
 
 def test_a_factor_that_goes_along_with_another_one_is_not_tested(tmp_path: Path) -> None:

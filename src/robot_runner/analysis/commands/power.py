@@ -71,6 +71,7 @@ def add_assumptions(parser: Parser) -> None:
     parser.add_argument("--means", metavar="FILE", help="a CSV file with the mean of each combination")
     for name, metavar, text in (
         ("--sd", "[MEASURE=]SD", "standard deviation of runs of one combination, in the measure's unit"),
+        ("--share", "[MEASURE=]PERCENT", "share of yes over all runs of a measure that is yes or no, as a success"),
         (
             "--difference",
             "[MEASURE:]FACTOR=SIZE",
@@ -149,6 +150,7 @@ def computed_power(arguments: Namespace) -> PowerAnalysis:
         differences=arguments.difference,
         blocks=arguments.block_sd,
         responses=arguments.response_sd,
+        shares=arguments.share,
     )
 
     def tell(repetitions: int, experiments: int) -> None:
@@ -245,7 +247,10 @@ def _print(console: UserConsole, analysis: PowerAnalysis, scenario: ScenarioPowe
 
 
 def _assumed_in_words(measure: AssumedMeasure) -> str:
-    means = [f"{shown_number(mean)} for {' / '.join(cell)}" for cell, mean in measure.means.items()]
+    unit = " %" if measure.is_share else ""
+    means = [f"{shown_number(mean)}{unit} for {' / '.join(cell)}" for cell, mean in measure.means.items()]
+    if measure.is_share:
+        return f"Assumed shares of yes of {measure.name}: {listed(means, _MOST_MEANS)}"
     ends = [shown_number(spread) for spread in (min(measure.spreads.values()), max(measure.spreads.values()))]
     spread = " to ".join(dict.fromkeys(ends))
     return f"Assumed means of {measure.name}: {listed(means, _MOST_MEANS)}; standard deviation {spread}"

@@ -26,7 +26,7 @@ from robot_runner.analysis.comparison.matching import of_one_quantity
 from robot_runner.analysis.comparison.shared_units import APART, Estimate, Units, estimate_of, shares_of
 from robot_runner.analysis.importing.units import known_units, unit_of
 from robot_runner.analysis.statistics.descriptive import STEPS_OF_NOISE, out_of_range, quiet, step_of
-from robot_runner.analysis.statistics.proportions import difference_ends, score_of
+from robot_runner.analysis.statistics.score_intervals import DIFFERENCE, score_of, sum_ends
 from robot_runner.analysis.statistics.tested import Interval
 from robot_runner.core.errors import AnalysisError, did_you_mean
 
@@ -97,8 +97,8 @@ def equivalence_p_value(first: Floats, second: Floats, bound: Bound, *, is_paire
 def proportion_test(first: Floats, second: Floats, *, alpha: float, units: Units = APART) -> DifferenceTest:
     """Test the difference of two proportions of answers (1 for yes, 0 for no) by Newcombe's score intervals."""
     one, other, chance = shares_of(first, second, units)
-    ends = [difference_ends(other, one, float(chance.isf(each))) for each in (alpha / 2, alpha)]
-    p_value = min(1.0, 2 * float(chance.sf(abs(score_of(other, one)))))
+    ends = [sum_ends((other, one), DIFFERENCE, float(chance.isf(each))) for each in (alpha / 2, alpha)]
+    p_value = min(1.0, 2 * float(chance.sf(abs(score_of((other, one), DIFFERENCE)))))
     wide, narrow = (
         Interval(*each, level, f"Newcombe's score interval{units.in_words}")
         for each, level in zip(ends, (1 - alpha, 1 - 2 * alpha), strict=True)
@@ -114,7 +114,7 @@ def equivalent_proportions(first: Floats, second: Floats, bound: Bound, *, units
     one, other, chance = shares_of(first, second, units)
     share = bound.value / _PERCENT if bound.is_relative else 0.0
     edge = 0.0 if bound.is_relative else bound.value
-    scores = score_of(other, one, -edge, 1 - share), -score_of(other, one, edge, 1 + share)
+    scores = score_of((other, one), (1, share - 1), -edge), -score_of((other, one), (1, -1 - share), edge)
     return float(chance.sf(min(scores)))
 
 

@@ -21,7 +21,7 @@ from scipy import special, stats
 
 from robot_runner.analysis.arrays import Floats, Numbers
 from robot_runner.analysis.statistics.known_design import KnownDesign
-from robot_runner.analysis.statistics.proportions import Share
+from robot_runner.analysis.statistics.score_intervals import Share
 from robot_runner.analysis.statistics.tested import Interval
 from robot_runner.core.events.measure import ROBOTS_OWNER
 

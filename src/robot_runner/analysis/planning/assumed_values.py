@@ -27,17 +27,20 @@ _AND = " x "
 #: The suffix of a column with the standard deviation of a measure, in a file of means.
 _SPREAD = ".sd"
 _ROUNDING = 1e-12
+_PERCENT = 100.0
 
 
 @dataclass(frozen=True, slots=True)
 class AssumedMeasure:
-    """The assumed distribution of a measure: normal, around the mean of each combination.
+    """The assumed distribution of a measure: normal, around the mean of each combination, or yes and no.
 
     Attributes:
-        means, spreads: the mean and the standard deviation of each combination, in the measure's unit.
+        means, spreads: the mean and the standard deviation of each combination, in the measure's unit; of what is yes
+            or no the share of yes in percent, and the deviation of 0 and 100.
         block_sd: the standard deviation of block effects, the same for all values of a block.
         responses: the standard deviation of how blocks respond to the treatments of each factor, or to the combinations
             of several: what a block adds to all of its runs of one.
+        is_share: whether it is yes or no; what blocks add is then in percentage points.
     """
 
     name: str
@@ -45,15 +48,39 @@ class AssumedMeasure:
     spreads: Mapping[Cell, float]
     block_sd: float = 0.0
     responses: Mapping[Term, float] = field(default_factory=dict)
+    is_share: bool = False
+
+    @classmethod
+    def of_shares(cls, name: str, shares: Mapping[Cell, float], like: AssumedMeasure | None = None) -> AssumedMeasure:
+        """Return the assumption on a measure that is yes or no, whose blocks vary like those of another.
+
+        Args:
+            name: of the measure.
+            shares: of yes of each combination, in percent.
+            like: None for no blocks.
+
+        Raises:
+            AnalysisError: a share is not one of a hundred.
+        """
+        for cell, share in shares.items():
+            if not 0 <= share <= _PERCENT:
+                problem = f"{share:g} % of the runs of {combination_label(cell)} would say yes to {name}"
+                fix = f"Give shares from 0 to 100 %: a difference lies half above --share {name}=... and half below."
+                raise AnalysisError(problem, where="power", fix=fix)
+        spreads = {cell: math.sqrt(share * (_PERCENT - share)) for cell, share in shares.items()}
+        of_blocks = (0.0, {}) if like is None else (like.block_sd, like.responses)
+        return cls(name, shares, spreads, *of_blocks, is_share=True)
 
     @property
     def is_constant(self) -> bool:
-        """Whether runs of a combination within a block are equal, except for rounding."""
-        return max(*self.spreads.values(), *self.responses.values()) <= _ROUNDING * max(map(abs, self.means.values()))
+        """Whether runs of a combination within a block are equal, except for rounding; those that say yes may be."""
+        return not self.is_share and max(*self.spreads.values(), *self.responses.values()) <= _ROUNDING * max(
+            map(abs, self.means.values())
+        )
 
     def with_spread(self, spread: float) -> AssumedMeasure:
-        """Return the same with a common standard deviation for all combinations."""
-        return replace(self, spreads=dict.fromkeys(self.spreads, spread))
+        """Return the same with a common standard deviation for all combinations; a share has its own."""
+        return self if self.is_share else replace(self, spreads=dict.fromkeys(self.spreads, spread))
 
     def draw(
         self,
@@ -63,7 +90,7 @@ class AssumedMeasure:
         cells: Sequence[Cell],
         blocks: Sequence[str],
     ) -> Floats:
-        """Return the values of many experiments, (experiments, runs).
+        """Return the values of many experiments, (experiments, runs); 100 for yes and 0 for no.
 
         Args:
             random: draws them.
@@ -74,7 +101,9 @@ class AssumedMeasure:
         """
         means = np.array([self.means[cell] for cell in cells])
         spreads = np.array([self.spreads[cell] for cell in cells])
-        values = means + spreads * random.normal(size=(experiments, len(cells)))
+        values = np.tile(means, (experiments, 1))
+        if not self.is_share:
+            values += spreads * random.normal(size=values.shape)
         _, block = np.unique(blocks, return_inverse=True)
         if self.block_sd:
             values += self.block_sd * random.normal(size=(experiments, block.max() + 1))[:, block]
@@ -86,6 +115,8 @@ class AssumedMeasure:
                 continue  # what differs between blocks only is in `block_sd`
             drawn = random.normal(size=(experiments, block.max() + 1, len(numbers)))
             values += spread * drawn[:, block, treatment]
+        if self.is_share:
+            return np.where(_PERCENT * random.random(values.shape) < values, _PERCENT, 0.0)
         return values
 
 
@@ -167,7 +198,8 @@ def responses_of(study: Study, texts: Sequence[str], measures: Sequence[str]) ->
 
 
 def _below_zero(text: str, option: str) -> AnalysisError:
-    return AnalysisError(f"{text!r} is below 0", where=option, fix="Give a standard deviation.")
+    what = "share of yes, in percent" if option == "--share" else "standard deviation"
+    return AnalysisError(f"{text!r} is below 0", where=option, fix=f"Give a {what}.")
 
 
 def differences_of(
@@ -230,7 +262,7 @@ def assumed_scenario(
         measures: the measures of the scenario.
         differences: the assumed differences; all other effects are 0.
         spreads: the standard deviation of each measure that `base` lacks.
-        base: known values of measures, such as a pilot's; only the grand mean of their means is used.
+        base: known values of measures, such as a pilot's, or shares; only the grand mean of their means is used.
         title: of the scenario.
 
     Raises:
@@ -238,7 +270,8 @@ def assumed_scenario(
     """
     missing = [name for name in measures if name not in spreads and name not in base]
     if missing:
-        fix = "Give " + " ".join(f"--sd {name}=..." for name in missing) + ", or a pilot: --pilot FOLDER."
+        fix = "Give " + " ".join(f"--sd {name}=..." for name in missing) + " (--share of what is yes or no)"
+        fix += ", or a pilot: --pilot FOLDER."
         fix += "" if len(measures) == len(missing) else " Or name the others with --measure."
         raise AnalysisError(f"nothing is assumed of {enumerated(missing)}", where="power", fix=fix)
     _refuse_bounds(study, [name for name in measures if name not in base])
@@ -247,15 +280,13 @@ def assumed_scenario(
         known = base.get(name)
         centre = float(np.mean(list(known.means.values()))) if known is not None else 0.0
         mine = [each for each in differences if each.measure == name]
-        made.append(
-            AssumedMeasure(
-                name,
-                {cell: centre + sum(each.at(study, cell) for each in mine) for cell in study.cells},
-                dict.fromkeys(study.cells, spreads[name]) if known is None else known.spreads,
-                known.block_sd if known is not None else 0.0,
-                known.responses if known is not None else {},
-            )
-        )
+        means = {cell: centre + sum(each.at(study, cell) for each in mine) for cell in study.cells}
+        if known is None:
+            made.append(AssumedMeasure(name, means, dict.fromkeys(study.cells, spreads[name])))
+        elif known.is_share:
+            made.append(AssumedMeasure.of_shares(name, means, known))
+        else:
+            made.append(replace(known, means=means))
     return Scenario(title, tuple(made), frozenset(effect_key(each.measure, each.factors) for each in differences))
 
 
@@ -300,6 +331,11 @@ def means_file(study: Study, path: Path, spreads: Mapping[str, float]) -> dict[s
 
 def _of_table(study: Study, table: pd.DataFrame, name: str, spreads: Mapping[str, float], where: str) -> AssumedMeasure:
     rows = list(_rows_of_cells(study, table, where))
+    if table[name].str.strip().str.endswith("%").all():
+        shares = {
+            cell: _number(table[name][row].strip(" %"), where, f"{name} of {_AND.join(cell)}") for cell, row in rows
+        }
+        return AssumedMeasure.of_shares(name, shares)
     means = {cell: _number(table[name][row], where, f"{name} of {_AND.join(cell)}") for cell, row in rows}
     own = f"{name}{_SPREAD}"
     if own in table:
@@ -309,7 +345,8 @@ def _of_table(study: Study, table: pd.DataFrame, name: str, spreads: Mapping[str
     elif name in spreads:
         found = dict.fromkeys(study.cells, spreads[name])
     else:
-        raise AnalysisError(f"the spread of {name} is missing", where=where, fix=f"Add the column {own}, or give --sd.")
+        fix = f"Add the column {own}, or give --sd; write shares of yes as 80%."
+        raise AnalysisError(f"the spread of {name} is missing", where=where, fix=fix)
     return AssumedMeasure(name, means, found)
 
 

@@ -16,6 +16,7 @@ from robot_runner.analysis.statistics.analysed_design import BATCH, VALUE, Desig
 from robot_runner.analysis.statistics.designed_models import designed_model_of
 from robot_runner.analysis.statistics.effect_coding import Factors, Term
 from robot_runner.analysis.statistics.known_design import role_column
+from robot_runner.analysis.statistics.shares import in_points
 from robot_runner.analysis.statistics.strata_model import StrataModel
 from robot_runner.analysis.statistics.unit_responses import UnitRuns
 from robot_runner.core.design.analysis_plan import Estimand, Statistic
@@ -60,7 +61,7 @@ class Pilot:
         """
         for each in assumed:
             freedom, spreads = self.freedoms.get(each.name, 0), tuple(each.spreads.values())
-            if not freedom or each.spreads != self.measures[each.name].spreads:
+            if each.is_share or not freedom or each.spreads != self.measures[each.name].spreads:
                 continue
             factor = math.sqrt(freedom / stats.chi2.ppf(1 - _SURE, freedom))
             if factor > _HARDLY_MORE:
@@ -142,13 +143,11 @@ def _measure(
 
     `units` are those of the measure in the pilot, and in the study.
     """
-    data = design.data(name)
+    answers = design.answers(name)
+    data = design.data(name) if answers is None else in_points(answers)
     if data is None:
-        what, fix = "not a number", "Name another with --measure."
-        if design.answers(name) is not None:
-            what = "yes or no, of which no power is simulated,"
-            fix = "Name the other measures with --measure. Of this one R tells the power: statmod::power.fisher.test."
-        raise AnalysisError(f"{name} is {what} in the pilot", where=where, fix=fix)
+        fix = "Name another with --measure."
+        raise AnalysisError(f"{name} is not a number in the pilot", where=where, fix=fix)
     frame = _with_cells(data.frame.assign(**{VALUE: in_unit(data.frame[VALUE], *units)}), shared)
     means = frame.groupby(_CELL)[VALUE].mean().to_dict()
     counts = frame[_CELL].value_counts().to_dict()
@@ -166,17 +165,15 @@ def _measure(
     if varying is None:
         problem = f"the pilot has a single run of each combination in each batch: {name} has no spread without these"
         raise AnalysisError(problem, where=where, fix="Repeat its runs, or give --sd and --difference instead.")
+    told = {cell: float(means[part]) for cell, part in wanted.items()}
+    if answers is not None:
+        blocks = AssumedMeasure(name, told, told, varying.block_sd, varying.responses)
+        return AssumedMeasure.of_shares(name, told, blocks), varying.freedom
     squares = varying.left**2
     pooled = math.sqrt(float(squares.sum()) / freedom)
     own = squares.groupby(frame[_CELL]).agg(lambda each: math.sqrt(each.sum() / max(1, len(each) - 1)))
-    told = AssumedMeasure(
-        name,
-        {cell: float(means[part]) for cell, part in wanted.items()},
-        {cell: float(own[part]) if counts[part] >= _ENOUGH else pooled for cell, part in wanted.items()},
-        varying.block_sd,
-        varying.responses,
-    )
-    return told, varying.freedom
+    spreads = {cell: float(own[part]) if counts[part] >= _ENOUGH else pooled for cell, part in wanted.items()}
+    return AssumedMeasure(name, told, spreads, varying.block_sd, varying.responses), varying.freedom
 
 
 def _varying(

@@ -42,7 +42,7 @@ class Assumptions:
         pilot: an executed experiment, whose means, standard deviations and blocks are taken.
         means: a CSV file of means.
         measures: the measures; empty for those of the plan.
-        spreads, blocks: texts such as `12` or `Energy=12`.
+        spreads, blocks, shares: texts such as `12` or `Energy=12`; shares are of yes, in percent.
         differences, responses: texts such as `Task=5` or `Energy:Task=5`; of responses also those of spreads.
     """
 
@@ -53,6 +53,7 @@ class Assumptions:
     differences: Sequence[str] = ()
     blocks: Sequence[str] = ()
     responses: Sequence[str] = ()
+    shares: Sequence[str] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,6 +117,7 @@ def _scenario_as_mapping(each: ScenarioPower) -> dict[str, Any]:
 def _assumed_as_mapping(measure: AssumedMeasure) -> dict[str, Any]:
     return {
         "measure": measure.name,
+        "is_share": measure.is_share,
         "combinations": [
             {"treatments": list(cell), "mean": measure.means[cell], "sd": measure.spreads[cell]}
             for cell in measure.means
@@ -198,7 +200,7 @@ def _measures(study: Study, assumptions: Assumptions) -> tuple[str, ...]:
     asked = tuple(study.measure(name, "--measure") for name in assumptions.measures)
     if study.plan is not None:
         return asked or tuple(study.measure(name, "analysis") for name in study.plan.measures)
-    named = [text.rpartition("=")[0] for text in assumptions.spreads]
+    named = [text.rpartition("=")[0] for text in (*assumptions.spreads, *assumptions.shares)]
     found = asked or tuple(dict.fromkeys(study.measure(name, "--sd") for name in named if name))
     if not found and assumptions.pilot is not None:
         found = tuple(name for name in study.units if name in assumptions.pilot.measures)[:_MOST_MEASURES]
@@ -216,6 +218,11 @@ def _scenarios(
 ) -> Iterator[Scenario]:
     spreads = numbers_of(study, "--sd", assumptions.spreads, measures)
     differences = differences_of(study, assumptions.differences, measures)
+    told = [text.strip().removesuffix("%") for text in assumptions.shares]
+    shares = {
+        name: AssumedMeasure.of_shares(name, dict.fromkeys(study.cells, share))
+        for name, share in numbers_of(study, "--share", told, measures).items()
+    }
     base: Mapping[str, AssumedMeasure] = pilot.measures if pilot is not None else {}
     if assumptions.means is not None:
         if pilot is not None:
@@ -229,10 +236,10 @@ def _scenarios(
         yield Scenario(title, tuple(base[name] for name in measures))
     if differences:
         title = "the smallest effects of interest" if base else "the assumed effects"
-        yield assumed_scenario(study, measures, differences, spreads, base, title)
+        yield assumed_scenario(study, measures, differences, spreads, {**base, **shares}, title)
     elif not base:
-        if not spreads:
-            fix = "Give --pilot FOLDER, or --sd and --difference, or --means FILE."
+        if not (spreads or shares):
+            fix = "Give --pilot FOLDER, or --sd (--share of what is yes or no) and --difference, or --means FILE."
             raise AnalysisError("nothing is assumed of the values that will be measured", where="power", fix=fix)
         fix = "Give --difference FACTOR=NUMBER, in the measure's unit."
         raise AnalysisError("no difference is assumed that could be found", where="power", fix=fix)
@@ -257,9 +264,14 @@ def _notes(study: Study, measures: Sequence[str], pilot: Pilot | None, found: Se
         yield "Measures are drawn independently of each other; where theirs go together, so do their verdicts."
     if study.is_repeated:
         yield "`repeat_until` adds repetitions until measures are precise; the power here is that of a fixed number."
-    if study.plan is not None and study.plan.covariates:
+    assumed = [each for of in found for each in of.scenario.measures]
+    if study.plan is not None and study.plan.covariates and not all(each.is_share for each in assumed):
         yield "Covariates are drawn as if they told nothing of the measures: where they do, fewer repetitions suffice."
-    yield "Values are drawn from normal distributions; skewed ones, and runs that fail, take more repetitions."
+    if not all(each.is_share for each in assumed):
+        yield "Values are drawn from normal distributions; skewed ones, and runs that fail, take more repetitions."
+    for name in dict.fromkeys(each.name for each in assumed if each.is_share):
+        alone = "" if study.has_units else ", independent of all others"
+        yield f"{name} is drawn as yes or no: one answer of each run{alone}. Runs that fail take more repetitions."
     planned = study.blocks if study.plan is None or study.plan.blocks is None else study.plan.blocks
     # The blocks of a special design are not among the factors of the study.
     runs = study.arranged(study.repetitions) if study.arranged is not None else ()

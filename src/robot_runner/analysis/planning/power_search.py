@@ -294,7 +294,8 @@ def sought_claims(
 ) -> tuple[int, ...]:
     """Return the indices of the claims to detect.
 
-    They are the requested ones; else the hypotheses; else the effects with stated differences; else main effects.
+    They are the requested ones; else the hypotheses; else the effects with stated differences; else the main effects
+    that are there by the assumptions: treatments of a pilot may be exactly alike.
 
     Raises:
         AnalysisError: a requested effect is not tested, or a claim has no assumed difference.
@@ -305,6 +306,7 @@ def sought_claims(
         kinds = (
             [place for place, claim in enumerate(claims) if claim.is_hypothesis],
             [place for place, claim in enumerate(claims) if claim.key in scenario.given],
+            [place for place, claim in enumerate(claims) if _is_there(study, scenario, claim)],
             [place for place, claim in enumerate(claims) if len(claim.key[1]) == 1],
         )
         chosen = next((kind for kind in kinds if kind), [])
@@ -342,9 +344,20 @@ def _refuse_nothing(study: Study, scenario: Scenario, claim: Claim) -> None:
     if len(factors) != 1:
         return  # interactions and bounds are not checked
     (factor,) = factors
-    place = list(study.factors).index(factor)
-    means = next(each.means for each in scenario.measures if each.name == claim.measure)
-    each = [np.mean([mean for cell, mean in means.items() if cell[place] == text]) for text in study.factors[factor]]
-    if np.ptp(each) <= 1e-9 * max(1.0, float(np.max(np.abs(each)))):
+    if not _differ(study, scenario, claim.measure, factor):
         problem = f"no difference of {factor} is assumed, so that {claim.label!r} cannot be found"
-        raise AnalysisError(problem, where="power", fix=f"Give --difference {claim.measure}:{factor}=...")
+        fix = f"Give --difference {claim.measure}:{factor}=..., or name what is to be found with --effect."
+        raise AnalysisError(problem, where="power", fix=fix)
+
+
+def _is_there(study: Study, scenario: Scenario, claim: Claim) -> bool:
+    """Return whether a claim is a main effect with an assumed difference."""
+    return len(claim.key[1]) == 1 and _differ(study, scenario, claim.measure, *claim.key[1])
+
+
+def _differ(study: Study, scenario: Scenario, measure: str, factor: str) -> bool:
+    """Return whether the treatments of a factor have different means."""
+    place = list(study.factors).index(factor)
+    means = next(each.means for each in scenario.measures if each.name == measure)
+    each = [np.mean([mean for cell, mean in means.items() if cell[place] == text]) for text in study.factors[factor]]
+    return bool(np.ptp(each) > 1e-9 * max(1.0, float(np.max(np.abs(each)))))

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from robot_runner.analysis.arrays import Floats, Numbers
+from robot_runner.analysis.planning.answer_tests import ExactTests, answer_model_of
 from robot_runner.analysis.statistics.analysed_design import Design, MeasureData, design_of
 from robot_runner.analysis.statistics.batch_strata import comparable
 from robot_runner.analysis.statistics.cell_means import CellMeans
@@ -27,6 +28,7 @@ from robot_runner.analysis.statistics.strata_model import StrataModel
 from robot_runner.analysis.statistics.surface_model import SurfaceModel
 from robot_runner.analysis.statistics.tested import NotComputed, named_within
 from robot_runner.analysis.statistics.tests import AnyModel, Choices, planned_model_of
+from robot_runner.core.design.analysis_plan import Estimand
 from robot_runner.core.design.columns import RUN_ID
 from robot_runner.core.errors import AnalysisError
 from robot_runner.core.words import counted, enumerated
@@ -69,13 +71,22 @@ class _Prepared:
         blocks: the block of each run.
         data: of one example experiment.
         model: of its values.
+        every: the same experiment, with the runs that are not compared within batches.
     """
 
     assumed: AssumedMeasure
     rows: Numbers
     blocks: tuple[str, ...]
     data: MeasureData
-    model: AnyModel
+    model: AnyModel | ExactTests
+    every: MeasureData
+
+    @property
+    def effects(self) -> tuple[tuple[str, ...], ...]:
+        """The factors of each tested effect."""
+        if isinstance(self.model, ExactTests):
+            return self.model.effects
+        return tuple(test.factors for test in self.model.effects())
 
 
 class Simulation:
@@ -114,19 +125,19 @@ class Simulation:
         design = self._design({each.name: random.normal(size=len(self._cells)) for each in scenario.measures}, random)
         prepared = []
         for assumed in scenario.measures:
-            every = design.data(assumed.name)
-            if every is None:
-                raise TypeError(f"{assumed.name} was drawn, and is not a number")
+            every = _drawn(design, assumed.name)
             blocks = tuple(every.unit_names)
-            data, model = self._analysed(design, assumed.name)
+            data, model = self._analysed(design, assumed)
             if isinstance(model, NotComputed):
                 many = counted(self._repetitions, "repetition")
                 problem = f"with {many} nothing can be tested of {assumed.name}: {model.why}"
                 fix = "Give more repetitions: --repetitions FROM..TO."
+                if assumed.is_share:  # the design, however often repeated, has no test of it
+                    fix = "Choose a factorial, blocks or a split plot, or name other measures with --measure."
                 raise AnalysisError(problem.rstrip("."), where="power", fix=fix)
             places = {run_id: place for place, run_id in enumerate(every.frame[RUN_ID])}
             rows = np.array([places[run_id] for run_id in data.frame[RUN_ID]])
-            prepared.append(_Prepared(assumed, rows, blocks, data, model))
+            prepared.append(_Prepared(assumed, rows, blocks, data, model, every))
         return prepared
 
     def _design(self, values: Mapping[str, Floats], random: np.random.Generator) -> Design:
@@ -137,18 +148,23 @@ class Simulation:
         design = design_of(results, blocks=self._plan.blocks if self._plan is not None else None)
         return replace(design, covariates=covariates)
 
-    def _analysed(self, design: Design, name: str) -> tuple[MeasureData, AnyModel | NotComputed]:
+    def _analysed(
+        self, design: Design, assumed: AssumedMeasure
+    ) -> tuple[MeasureData, AnyModel | ExactTests | NotComputed]:
         """Return the data of a measure, without the values that the plan leaves out, and its model."""
+        name = assumed.name
         gone = frozenset(each.run_id for each in left_out_of(design, name, self._plan, ()))
-        data = replace(design, without=gone).data(name)
-        if data is None:
-            raise TypeError(f"{name} was drawn, and is not a number")
+        data = _drawn(replace(design, covariates=()) if assumed.is_share else replace(design, without=gone), name)
         compared = comparable(data).data
+        if assumed.is_share:
+            return compared, answer_model_of(data, compared, self._choices.statistic)
         return compared, planned_model_of(compared, self._choices.estimand, self._choices.statistic)
 
     def _is_fast(self, prepared: _Prepared) -> bool:
         """Return whether many experiments can be computed at once: all of them use the same runs."""
-        leaves_out = self._plan is not None and self._plan.outliers is not None
+        if isinstance(prepared.model, ExactTests):
+            return True
+        leaves_out = self._plan is not None and self._plan.outliers is not None and not prepared.assumed.is_share
         if leaves_out or (prepared.data.covariates and not isinstance(prepared.model, CellMeans)):
             return False
         return isinstance(prepared.model, CellMeans | StrataModel | LenthModel | SurfaceModel)
@@ -164,11 +180,11 @@ class Simulation:
             if each.measure in names
         ]
         for each in self._measures:
-            for test in each.model.effects():
-                what = named_within(enumerated_factors(test.factors), each.data.within(test.factors))
+            for factors in each.effects:
+                what = named_within(enumerated_factors(factors), each.data.within(factors))
                 label = f"{what} on {each.assumed.name}"
                 found.append(
-                    Claim(effect_key(each.assumed.name, test.factors), label, each.assumed.name, is_hypothesis=False)
+                    Claim(effect_key(each.assumed.name, factors), label, each.assumed.name, is_hypothesis=False)
                 )
         return tuple(found)
 
@@ -177,7 +193,7 @@ class Simulation:
         p_values = self.p_values(part, experiments)
         tested = {each.assumed.name: self._keys(each, p_values) for each in self._measures}
         # What is not simulated shares their family: it is corrected for, and taken to be never found.
-        effects = {test.factors for each in self._measures for test in each.model.effects()}
+        effects = {factors for each in self._measures for factors in each.effects}
         for name in self._plan.measures if self._plan is not None else ():
             if name not in tested:
                 stated = (contrast_key(each.statement) for each in contrasts_of(self._plan, name))
@@ -199,7 +215,7 @@ class Simulation:
     def _keys(self, prepared: _Prepared, p_values: Mapping[Key, Floats]) -> list[Key]:
         """Return the keys of the tests of a measure, in the order of the report."""
         name = prepared.assumed.name
-        effects = [effect_key(name, test.factors) for test in prepared.model.effects()]
+        effects = [effect_key(name, factors) for factors in prepared.effects]
         contrasts = [contrast_key(each.statement) for each in contrasts_of(self._plan, name)]
         return [*effects, *(key for key in contrasts if key in p_values)]
 
@@ -227,37 +243,74 @@ class Simulation:
 
     def _of_all(self, prepared: _Prepared, values: Floats, part: int) -> dict[Key, Floats]:
         del part  # nothing is drawn
-        choices, mine = (self._choices.estimand, self._choices.statistic), values[:, prepared.rows]
-        model: AnyModel | NotComputed | None
+        name, is_share = prepared.assumed.name, prepared.assumed.is_share
+        if isinstance(prepared.model, ExactTests):
+            return prepared.model.p_values(values, contrasts_of(self._plan, name))
+        estimand = Estimand.MEAN if is_share else self._choices.estimand
+        choices, mine = (estimand, self._choices.statistic), values[:, prepared.rows]
         if isinstance(prepared.model, CellMeans):
-            model = CellMeans.of_values(prepared.model.layout, mine, *choices, _DRAWS)
-        else:
-            model = designed_model_of(prepared.data, *choices, mine)
+            means = CellMeans.of_values(prepared.model.layout, mine, *choices, _DRAWS)
+            found, alike = self._tested(name, means, estimand), ~means.has_variation
+            return self._of_shares(found, prepared.every, values, alike) if is_share else found
+        model = designed_model_of(prepared.data, *choices, mine)
         if model is None or isinstance(model, NotComputed):
-            raise TypeError(f"{prepared.assumed.name} has to be fitted one experiment at a time")
-        return self._tested(prepared.assumed.name, model)
+            raise TypeError(f"{name} has to be fitted one experiment at a time")
+        found = self._tested(name, model, estimand)
+        return self._of_shares(found, prepared.every, values, np.zeros(len(values), dtype=bool)) if is_share else found
+
+    def _of_shares(
+        self, found: dict[Key, Floats], data: MeasureData, values: Floats, alike: NDArray[np.bool_]
+    ) -> dict[Key, Floats]:
+        """Return the p-values, those of bounds no surer than apart; exact ones where all blocks respond alike."""
+        exact, hypotheses = ExactTests(data), contrasts_of(self._plan, data.name)
+        for hypothesis in hypotheses:
+            if (apart := exact.apart(values, hypothesis)) is not None:
+                key = contrast_key(hypothesis.statement)
+                found[key] = np.maximum(found[key], apart)
+                if not data.known.columns and (unknown := np.isnan(found[key])).any():
+                    found[key][unknown] = exact.p_values(values[unknown], [hypothesis])[key]
+        if alike.any():
+            of_alike = exact.p_values(values[alike], hypotheses)
+            for key, p_values in found.items():
+                p_values[alike] = of_alike.get(key, np.full(int(alike.sum()), np.nan))
+        return found
 
     def _of_each(self, prepared: _Prepared, values: Floats, part: int) -> dict[Key, Floats]:
         # Zeros at the end of a seed change nothing: without a place of their own, covariates would be those of place 0.
         random = np.random.default_rng((*self._seed, part, len(self._measures)))
         name = prepared.assumed.name
-        found = []
+        found: list[dict[Key, Floats]] = []
         for row in values:
-            _, model = self._analysed(self._design({name: row}, random), name)
-            found.append({} if isinstance(model, NotComputed) else self._tested(name, model))
+            _, model = self._analysed(self._design({name: row}, random), prepared.assumed)
+            if isinstance(model, NotComputed | ExactTests):
+                found.append({})
+            else:
+                found.append(self._tested(name, model, self._choices.estimand))
         missing = np.asarray(np.nan)
         # If values hardly vary, no experiment may be testable: then no effect is found.
-        effects = [effect_key(name, test.factors) for test in prepared.model.effects()]
+        effects = [effect_key(name, factors) for factors in prepared.effects]
         keys = dict.fromkeys([*effects, *(key for each in found for key in each)])
         return {key: np.array([float(each.get(key, missing)) for each in found]) for key in keys}
 
-    def _tested(self, name: str, model: AnyModel) -> dict[Key, Floats]:
-        found = {effect_key(name, test.factors): np.asarray(test.p_value) for test in model.effects()}
+    def _tested(self, name: str, model: AnyModel, estimand: Estimand) -> dict[Key, Floats]:
+        found = {}
+        for test in model.effects():
+            figures = np.broadcast_arrays(test.p_value, test.statistic, *test.freedom)
+            is_known = np.all(np.isfinite(figures), axis=0)
+            found[effect_key(name, test.factors)] = np.where(is_known, test.p_value, np.nan)
         for hypothesis in contrasts_of(self._plan, name):
-            contrast = contrast_of(model, hypothesis, self._choices.estimand)
+            contrast = contrast_of(model, hypothesis, estimand)
             if not isinstance(contrast, NotComputed):
-                found[contrast_key(hypothesis.statement)] = p_value_of_contrast(contrast, hypothesis)
+                p_values = np.where(contrast.error > 0, p_value_of_contrast(contrast, hypothesis), np.nan)
+                found[contrast_key(hypothesis.statement)] = p_values
         return found
+
+
+def _drawn(design: Design, name: str) -> MeasureData:
+    data = design.data(name)
+    if data is None:
+        raise TypeError(f"{name} was drawn, and is not a number")
+    return data
 
 
 def enumerated_factors(factors: Sequence[str]) -> str:

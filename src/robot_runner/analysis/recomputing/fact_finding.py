@@ -198,9 +198,9 @@ def _families(
 
 def _keys(measure: MeasureStatistics, facts: MeasureFacts | None) -> Iterator[tuple[Key, str]]:
     """Yield the key of each test of a measure with a p-value, in the statistics and in the script."""
-    if facts is None or measure.test is None:
+    if facts is None:
         return
-    for effect in measure.test.effects:
+    for effect in measure.test.effects if measure.test is not None else ():
         if effect.p_value is not None:
             yield effect_key(measure.name, effect.factors), facts.effect_keys[effect.factors]
     for each in measure.contrasts:
@@ -215,9 +215,10 @@ def _adjusted(statistics: ExperimentStatistics, facts: Mapping[tuple[str, Beside
     for beside, measures in _analyses(statistics):
         for measure in measures:
             found = facts.get((measure.name, beside))
-            if found is None or measure.test is None:
+            if found is None:
                 continue
-            rows += [(found.effect_keys[each.factors], each.adjusted_p_value) for each in measure.test.effects]
+            effects = measure.test.effects if measure.test is not None else ()
+            rows += [(found.effect_keys[each.factors], each.adjusted_p_value) for each in effects]
             rows += [
                 (found.contrast_keys[each.statement], adjusted.get((each.statement, beside)))
                 for each in measure.contrasts

@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import combinations
-from math import prod
+from math import isfinite, prod
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from robot_runner.analysis.recomputing.designed_facts import Designed, designed_facts, surface_facts
 from robot_runner.analysis.recomputing.reported import (
+    LEVEL,
     Reported,
     about_residuals,
     contrasts_table,
@@ -21,7 +22,6 @@ from robot_runner.analysis.recomputing.reported import (
     tested_table,
 )
 from robot_runner.analysis.recomputing.study_facts import (
-    LEVEL,
     Answered,
     Compared,
     Contrasted,
@@ -36,6 +36,7 @@ from robot_runner.analysis.statistics.descriptive import quiet
 from robot_runner.analysis.statistics.known_precision import level_of_looks
 from robot_runner.analysis.statistics.lenth_test import LENTH, LenthModel
 from robot_runner.analysis.statistics.linear_model import FittedModel
+from robot_runner.analysis.statistics.proportion_contrasts import most_runs
 from robot_runner.analysis.statistics.proportions import QUANTITY
 from robot_runner.analysis.statistics.shares import in_points
 from robot_runner.analysis.statistics.strata_model import StrataModel
@@ -77,8 +78,6 @@ _KNOWN = (CellMeans, FittedModel, StrataModel, LenthModel, SurfaceModel)
 #: The most combinations of the factors of a fraction that scripts can handle.
 _MOST_CELLS = 5_000
 _OF_BLOCKS, _BOOTSTRAP = " of blocks", ", parametric bootstrap"
-
-
 _PAIR, _EXACT = 2, TestMethod.PROPORTIONS
 
 
@@ -133,7 +132,7 @@ def facts_of_measure(
         taken=taken,
         skipped=sum(len(each.numbers) for each in left),
         level=LEVEL if levels is None else levels,
-        answered=_answered(data, measure, effect_keys),
+        answered=_answered(data, measure, choices, hypotheses, effect_keys, contrast_keys),
         designed=designed,
     )
 
@@ -150,23 +149,31 @@ def _groups(measure: MeasureStatistics) -> Iterator[tuple[tuple[str, ...], list[
 
 
 def _answered(
-    data: MeasureData, measure: MeasureStatistics, effect_keys: Mapping[tuple[str, ...], str]
+    data: MeasureData,
+    measure: MeasureStatistics,
+    choices: Choices,
+    hypotheses: Sequence[Hypothesis],
+    effect_keys: Mapping[tuple[str, ...], str],
+    contrast_keys: Mapping[str, str],
 ) -> Answered | None:
     """Return the facts of a yes-or-no measure; None for others."""
     if measure.proportions is None:
         return None
     is_exact = measure.test is not None and measure.test.method is _EXACT
+    are_by_score = is_exact or measure.test is None
+    known = {each.statement for each in measure.contrasts} if are_by_score else set()
+    stated = [each for each in hypotheses if each.statement in known]
     effects = measure.test.effects if measure.test is not None and is_exact else ()
     post_hoc = measure.post_hoc if is_exact else ()
-    known = [each for each in effects if each.p_value is not None]
+    tested = [each for each in effects if each.p_value is not None]
     # P-values for three or more treatments are random.
-    drawn = {each.factors: each.p_value for each in known if len(data.levels(each.factors[0])) > _PAIR}
+    drawn = {each.factors: each.p_value for each in tested if len(data.levels(each.factors[0])) > _PAIR}
     rows = [
         (
             each.label,
             {"statistic": each.statistic, **freedom_row(each.degrees_of_freedom, ""), "p": each.p_value},
         )
-        for each in known
+        for each in tested
     ]
     return Answered(
         is_blocked=data.is_blocked,
@@ -178,12 +185,22 @@ def _answered(
                 effect_keys[each.factors],
                 drawn.get(each.factors),
             )
-            for each in known
+            for each in tested
         ),
         tested=Reported.of(rows),
         pairs=tuple(_paired(each, effect_keys[each.factors], "ranks", data) for each in post_hoc),
         treatments=tuple(tuple((each.first, each.second) for each in of.comparisons) for of in post_hoc),
+        contrasts=tuple(_of_proportions(data, each, choices, contrast_keys[each.statement]) for each in stated),
+        contrasted=contrasts_table(measure) if are_by_score else Reported.of([]),
     )
+
+
+def _of_proportions(data: MeasureData, hypothesis: Hypothesis, choices: Choices, key: str) -> Contrasted:
+    levels = {name: data.levels(name) for name in data.factors}
+    found = _contrasted(hypothesis, levels, choices, key)
+    most = most_runs(data, found.weights, hypothesis)
+    others = tuple(data.others(hypothesis.factors))
+    return replace(found, others=others, most=most if isfinite(most) else None)
 
 
 def _not_recomputed(measure: MeasureStatistics) -> list[Reported]:
@@ -237,6 +254,8 @@ def _compared(
         pairs=tuple(_paired(each, effect_keys[each.factors], of, used) for each in measure.post_hoc),
         contrasts=tuple(
             _contrasted(by_statement[each.statement], levels, choices, contrast_keys[each.statement])
+            if each.degrees_of_freedom is not None
+            else _of_proportions(data, by_statement[each.statement], choices, contrast_keys[each.statement])
             for each in measure.contrasts
         ),
         contrasted=contrasts_table(measure),
@@ -355,6 +374,7 @@ def _chosen(post_hoc: PostHoc, data: MeasureData | None) -> tuple[int, ...]:
 
 def _contrasted(hypothesis: Hypothesis, levels: Mapping[str, Sequence[str]], choices: Choices, key: str) -> Contrasted:
     (factor,) = hypothesis.factors
-    weights = hypothesis.contrast or dict(zip(levels[factor], (1.0, -1.0), strict=True))
+    told = hypothesis.contrast or dict(zip(levels[factor], (1.0, -1.0), strict=True))
+    weights = {name: weight for name, weight in told.items() if weight}
     level = 1 - (2 if hypothesis.has_bound else 1) * choices.alpha
-    return Contrasted(key, hypothesis, factor, dict(weights), level)
+    return Contrasted(key, hypothesis, factor, weights, level)

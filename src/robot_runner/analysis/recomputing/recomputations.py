@@ -13,13 +13,8 @@ from typing import TYPE_CHECKING, Any
 
 from robot_runner.analysis.recomputing.fact_finding import facts_of_study
 from robot_runner.analysis.recomputing.literals import Code, python_literal, r_literal, rendered
-from robot_runner.analysis.recomputing.study_facts import (
-    LEVEL,
-    Compared,
-    Contrasted,
-    StudyFacts,
-    TestedEffect,
-)
+from robot_runner.analysis.recomputing.reported import LEVEL
+from robot_runner.analysis.recomputing.study_facts import Compared, Contrasted, StudyFacts, TestedEffect
 from robot_runner.analysis.report.writing import made_by, report_folder
 from robot_runner.analysis.results import Results, results_of
 from robot_runner.analysis.statistics.nested_factors import IDLE

@@ -16,6 +16,8 @@ if TYPE_CHECKING:
 Number = float | int | None
 Row = dict[str, Number]
 
+#: The confidence level of the interval of a mean.
+LEVEL = 0.95
 #: The columns of the degrees of freedom and the p-value of a test.
 _TEST = {"df": "degrees_of_freedom", "p": "p_value"}
 

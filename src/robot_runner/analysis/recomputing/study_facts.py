@@ -12,9 +12,6 @@ if TYPE_CHECKING:
     from robot_runner.analysis.statistics.tested import AssumptionCheck
     from robot_runner.core.design.hypothesis import Hypothesis
 
-#: The confidence level of the interval of a mean.
-LEVEL = 0.95
-
 
 @dataclass(frozen=True, slots=True)
 class FactorColumn:
@@ -104,8 +101,8 @@ class Contrasted:
     """The contrast of a hypothesis.
 
     Attributes:
-        key: its unique name in the study.
-        weights: by treatment of the factor.
+        key, weights: its unique name in the study, and the weights by treatment.
+        others, most: of proportions, the other factors, and as how many runs those of a treatment count at the most.
     """
 
     key: str
@@ -113,6 +110,8 @@ class Contrasted:
     factor: str
     weights: Mapping[str, float]
     level: float
+    others: tuple[str, ...] = ()
+    most: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -192,9 +191,8 @@ class Answered:
 
     Attributes:
         is_blocked, is_extended: whether runs are compared within blocks, and within batches.
-        effects: for each tested factor: its name, the other factors, its key, and its p-value if that is simulated.
-        tested, pairs: the tables of the report.
-        treatments: the pairs of each factor.
+        effects: of each tested factor its name, the other factors, its key, and its p-value if that is simulated.
+        treatments: the pairs of each factor; the rest is as in `Compared`.
     """
 
     is_blocked: bool
@@ -203,6 +201,8 @@ class Answered:
     tested: Reported
     pairs: tuple[Paired, ...]
     treatments: tuple[tuple[tuple[str, str], ...], ...]
+    contrasts: tuple[Contrasted, ...]
+    contrasted: Reported
 
 
 @dataclass(frozen=True, slots=True)
@@ -395,6 +395,6 @@ class StudyFacts:
                 found += [measure.compared.tested, measure.compared.contrasted]
                 if (surface := measure.compared.surface) is not None:
                     found += [surface.reported, surface.whole]
-            found += [] if measure.answered is None else [measure.answered.tested]
+            found += [] if measure.answered is None else [measure.answered.tested, measure.answered.contrasted]
             found += [each for pair in measure.pairs for each in (pair.reported, pair.adjusted)]
         return tuple(found)

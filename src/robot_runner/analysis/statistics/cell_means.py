@@ -33,6 +33,8 @@ from robot_runner.analysis.statistics.tested import EffectTest, TestMethod
 from robot_runner.core.design.analysis_plan import Estimand, Statistic
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
     from robot_runner.analysis.statistics.cell_layout import EffectContrast, Layout
 
 #: Standard errors smaller than this, relative to the values, are rounding.
@@ -113,9 +115,9 @@ class CellMeans:
         return TestMethod.WELCH_JAMES if count > 1 else TestMethod.WELCH_ANOVA
 
     @property
-    def has_variation(self) -> bool:
+    def has_variation(self) -> NDArray[np.bool_]:
         """Whether the error variance is above 0 in at least one combination; with blocks, that of their response."""
-        return bool(np.all(self._unit_variance > 0))
+        return np.asarray(self._unit_variance > 0)
 
     @property
     def spread(self) -> Floats:
@@ -221,10 +223,12 @@ class CellMeans:
     def _within_units(self, effect: EffectContrast) -> tuple[str, Tested]:
         """Test contrasts of several cells within units, whose covariance is unknown."""
         least = FREEDOM_A_CONTRAST * len(self.layout.sizes) * len(effect.within)
-        is_corrected = bool(self.moments.freedom.min() >= least)
+        freedom = float(self.moments.freedom.min())
+        flipped = self.units if self._can_be_flipped and freedom < least else None
+        is_corrected = freedom >= least - 1 and flipped is None
         found = box(self.moments, effect.between, effect.within, is_corrected=is_corrected)
-        if not is_corrected and self.units is not None and self._can_be_flipped:
-            p_value = sign_flipped(self.units @ effect.within.T)
+        if flipped is not None:
+            p_value = sign_flipped(flipped @ effect.within.T)
             return GREENHOUSE_GEISSER + SIGN_FLIPS, found._replace(p_value=p_value)
         return HUYNH_FELDT if is_corrected else GREENHOUSE_GEISSER, found
 

@@ -47,8 +47,8 @@ _ORDER = -1 / 3
 #: The most contrasts for a bootstrap: larger matrices take too long to invert thousands of times.
 _MOST_INVERTED = 12
 
-#: The fewest degrees of freedom, per contrast and group, with which Huynh and Feldt's correction holds its level
-#: (3.7 to 6.5 % at 5 %; with fewer up to 9 %), by simulation.
+#: The degrees of freedom, per contrast and group, with one less than which Huynh and Feldt's correction holds its level
+#: (4 to 6.7 % at 5 %; with fewer 6.9 to 7.7 %), by simulation.
 FREEDOM_A_CONTRAST = 2
 
 #: A variance below this share of the one that independent cells would have is rounding; so is a weight below this share

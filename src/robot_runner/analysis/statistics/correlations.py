@@ -102,6 +102,10 @@ def _correlation(one: _Correlated, other: _Correlated) -> Correlation | NotCompu
     )
 
 
+#: The last binary places of a correlation of 1.
+_LAST_PLACES = 4 * np.finfo(np.float64).eps
+
+
 def spearman(x: Floats, y: Floats) -> tuple[float, float]:
     """Return Spearman's rho and its p-value, which is exact, from all permutations, for few values.
 
@@ -111,6 +115,8 @@ def spearman(x: Floats, y: Floats) -> tuple[float, float]:
     """
     found = stats.spearmanr(x, y)
     rho, p_value = float(found.statistic), float(found.pvalue)
+    if 1 - abs(rho) <= _LAST_PLACES:  # values that only rise, or only fall
+        rho = math.copysign(1.0, rho)
     if len(x) <= _MOST_PERMUTED and math.isfinite(rho):
         ranks, others = (stats.rankdata(each) - (len(x) + 1) / 2 for each in (x, y))
         sums = np.abs(others[_orders(len(x))] @ ranks)

@@ -166,7 +166,7 @@ class _Fitting:
             if layout is not None:
                 draws = {} if self.values.ndim == 1 else {"draws": 499}
                 found = CellMeans.of_values(layout, self.values, estimand, statistic, **draws)
-                return found if found.has_variation else _NO_VARIATION
+                return found if np.all(found.has_variation) else _NO_VARIATION
             single = fit_lenth(self.factors, self._codes, self._terms, self.values)
             if single is not None:
                 return single

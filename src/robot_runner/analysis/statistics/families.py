@@ -312,10 +312,12 @@ def judge(
 
 
 def _tested(hypothesis: Hypothesis, measure: MeasureStatistics | None) -> Effect | ContrastTest | None:
-    if measure is None or measure.test is None:
+    if measure is None:
         return None
     if hypothesis.is_contrast:
         return next((each for each in measure.contrasts if each.statement == hypothesis.statement), None)
+    if measure.test is None:
+        return None
     return next((each for each in measure.test.effects if set(each.factors) == set(hypothesis.factors)), None)
 
 

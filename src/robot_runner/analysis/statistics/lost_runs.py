@@ -27,8 +27,8 @@ if TYPE_CHECKING:
     from robot_runner.analysis.statistics.outcome import DesignSummary
 
 _OF_OTHERS = (
-    "Means are of the others: where those are lost that take long, say, a treatment looks better the more of its runs "
-    "it loses."
+    "Means are of the others: where those are lost that take long or do not succeed, say, a treatment looks better the "
+    "more of its runs it loses."
 )
 _OF_SUCCESSES = (
     "Means are of the attempts that succeeded: where those fail that take long, say, a treatment looks better the more "

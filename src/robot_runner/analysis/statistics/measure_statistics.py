@@ -26,6 +26,7 @@ from robot_runner.analysis.statistics.known_precision import level_of_looks
 from robot_runner.analysis.statistics.left_out import false_positives
 from robot_runner.analysis.statistics.outcome import Description, MeasureStatistics, Power
 from robot_runner.analysis.statistics.post_hoc import MOST_PAIRS, carry_out_contrast, compare_pairs, missing_intervals
+from robot_runner.analysis.statistics.proportion_contrasts import carry_out_contrast_of_proportions
 from robot_runner.analysis.statistics.proportions import (
     carry_out_proportions,
     compare_proportions,
@@ -163,7 +164,9 @@ def _no_numbers(told: Sequence[object]) -> str:
     texts = [str(each) for each in told if not isinstance(each, int | float) or not math.isfinite(each)]
     if texts and len(texts) == len(told) and all(map(_reads_as_number, told)):
         return f"its values are texts that read as numbers, such as {texts[0]!r}: publish them as numbers (float)."
-    if len(texts) in {0, len(told)}:
+    if not texts:
+        return "some of its values are True or False, and others numbers: publish all as one of them."
+    if len(texts) == len(told):
         return "its values are neither numbers nor True and False."
     are = "is not a number" if len(set(texts)) == 1 else "are not numbers"
     return f"in {len(texts)} of {counted(len(told), 'run')} it is {listed(dict.fromkeys(texts))}, which {are}."
@@ -201,12 +204,15 @@ def _of_answers(
     answers: MeasureData, measure: MeasureStatistics, gathered: _Gathered, choices: Choices, plan: AnalysisPlan | None
 ) -> MeasureStatistics:
     """Return the statistics of a yes-or-no measure."""
-    found = compare_shares(answers, choices)
-    test, pairs, missed = found if found is not None else (*_exact(answers, choices, gathered), ())
-    gathered.missing += missed
-    for each in contrasts_of(plan, measure.name):
-        why = "contrasts and bounds are of means; the pairs of treatments have the differences of proportions."
-        gathered.missing.append(NotComputed(f"the contrast of {each.statement!r}", why))
+    hypotheses = contrasts_of(plan, measure.name)
+    found = compare_shares(answers, choices, hypotheses)
+    if found is None:
+        test, pairs = _exact(answers, choices, gathered)
+        contrasts = tuple(carry_out_contrast_of_proportions(answers, each, choices) for each in hypotheses)
+    else:
+        test, pairs, contrasts = found.test, found.pairs, found.contrasts
+        gathered.missing += found.missed
+    known = [gathered.take(each) for each in contrasts]
     if plan is not None and plan.covariates:
         gathered.missing.append(NotComputed("adjustment for covariates", "it is of means, and not of proportions."))
     proportions = proportions_of(answers, _MOST_DESCRIBED)
@@ -220,6 +226,7 @@ def _of_answers(
         proportions=proportions,
         test=test,
         post_hoc=pairs,
+        contrasts=tuple(each for each in known if each is not None),
         not_computed=tuple(gathered.missing),
     )
 

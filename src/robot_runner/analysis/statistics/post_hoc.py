@@ -150,7 +150,7 @@ def carry_out_contrast(model: AnyModel, hypothesis: Hypothesis, choices: Choices
         return found
     estimate, error, freedom = (float(each) for each in found)
     if not (error > 0 and math.isfinite(freedom)):
-        return NotComputed(_test_of(hypothesis), "the values of its treatments do not vary.")
+        return NotComputed(test_of(hypothesis), "the values of its treatments do not vary.")
     level = 1 - (2 if hypothesis.has_bound else 1) * choices.alpha
     p_value = float(p_value_of_contrast(found, hypothesis))
     reach = found.reach(1 - level)
@@ -162,20 +162,33 @@ def contrast_of(model: AnyModel, hypothesis: Hypothesis, estimand: Estimand) -> 
     """Estimate the contrast of a hypothesis; the model may be of many simulated experiments at once."""
     if (hypothesis.within or hypothesis.below) and estimand is Estimand.RANK:
         why = "a bound in the unit of the measure says nothing of ranks, which differ by 1 at most: compare means."
-        return NotComputed(_test_of(hypothesis), why)
-    levels = dict(levels_of(model))
+        return NotComputed(test_of(hypothesis), why)
+    weights = weights_of(hypothesis, levels_of(model))
+    if isinstance(weights, NotComputed):
+        return weights
+    (factor,) = hypothesis.factors
+    with quiet():
+        return model.difference([({factor: level}, weight) for level, weight in weights.items()])
+
+
+def weights_of(hypothesis: Hypothesis, levels: Mapping[str, Sequence[str]]) -> Mapping[str, float] | NotComputed:
+    """Return the weight of each treatment in the contrast of a hypothesis.
+
+    Args:
+        hypothesis: with a contrast or a bound.
+        levels: the treatments that are compared, by factor.
+    """
     (factor,) = hypothesis.factors
     weights = hypothesis.contrast
     if factor in levels and weights is None and len(levels[factor]) == 2:  # noqa: PLR2004
         weights = dict(zip(levels[factor], (1.0, -1.0), strict=True))
-    if factor not in levels or weights is None or not set(weights) <= set(levels[factor]):
-        of = f"{factor}: {', '.join(levels.get(factor, ()))}"
-        why = f"its treatments are not those of {of}."
-        if factor in levels and weights is None:
-            why = f"a bound is of two treatments, and it names none by a contrast of those of {of}."
-        return NotComputed(_test_of(hypothesis), why)
-    with quiet():
-        return model.difference([({factor: level}, weight) for level, weight in weights.items()])
+    if factor in levels and weights is not None and set(weights) <= set(levels[factor]):
+        return weights
+    of = f"{factor}: {', '.join(levels.get(factor, ()))}"
+    why = f"its treatments are not those of {of}."
+    if factor in levels and weights is None:
+        why = f"a bound is of two treatments, and it names none by a contrast of those of {of}."
+    return NotComputed(test_of(hypothesis), why)
 
 
 def p_value_of_contrast(found: Contrast, hypothesis: Hypothesis) -> Floats:
@@ -189,7 +202,8 @@ def p_value_of_contrast(found: Contrast, hypothesis: Hypothesis) -> Floats:
         return np.asarray(stats.t.sf((bound - size) / found.error, found.freedom))
 
 
-def _test_of(hypothesis: Hypothesis) -> str:
+def test_of(hypothesis: Hypothesis) -> str:
+    """Return what is tested, in words."""
     return f"test of the hypothesis {hypothesis.statement!r}"
 
 

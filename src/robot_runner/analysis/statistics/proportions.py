@@ -8,20 +8,21 @@ its level for few runs, too. Tests of means do not: a treatment that always succ
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from importlib.metadata import version
 from itertools import combinations
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
-from scipy import optimize, stats
+from scipy import stats
 
 from robot_runner.analysis.arrays import Floats
-from robot_runner.analysis.statistics.analysed_design import VALUE, MeasureData
+from robot_runner.analysis.statistics.analysed_design import MeasureData
 from robot_runner.analysis.statistics.outcome import Proportion, Proportions
 from robot_runner.analysis.statistics.post_hoc import adjusted
+from robot_runner.analysis.statistics.score_intervals import DIFFERENCE, Share, score_ends, sum_ends, sum_of
 from robot_runner.analysis.statistics.tested import (
     Comparison,
     Effect,
@@ -98,15 +99,8 @@ def _interval(group: Group, share: float, n: float) -> Interval | None:
         of_runs = share * (1 - share) / n
         n /= min(max(variance / of_runs, 1.0), n / units) if of_runs else n / units
         reach, method = float(stats.t.isf((1 - _LEVEL) / 2, units - 1)), f"{method}{group.in_words}"
-    low, high = _score_ends(share, n, reach)
+    low, high = score_ends(share, n, reach)
     return Interval(100 * low, 100 * high, _LEVEL, method)
-
-
-def _score_ends(share: float, n: float, z: float) -> tuple[float, float]:
-    """Return the ends of Wilson's score interval (Wilson 1927), as shares from 0 to 1."""
-    centre = (share + z * z / (2 * n)) / (1 + z * z / n)
-    half = z / (1 + z * z / n) * math.sqrt(share * (1 - share) / n + z * z / (4 * n * n))
-    return max(0.0, min(share, centre - half)), min(1.0, max(share, centre + half))  # despite rounding
 
 
 # Tests of effects.
@@ -119,7 +113,7 @@ def carry_out_proportions(data: MeasureData, choices: Choices) -> MeasureTest | 
         data: the measure, 1 for yes and 0 for no.
         choices: for the level of significance; the estimand is ignored.
     """
-    problem = _problem(data)
+    problem = problem_of(data)
     if problem:
         return NotComputed("the test", problem)
     effects = tuple(_effect(data, factor, choices.alpha) for factor in data.factors)
@@ -138,10 +132,11 @@ def carry_out_proportions(data: MeasureData, choices: Choices) -> MeasureTest | 
     )
 
 
-def _problem(data: MeasureData) -> str:
+def problem_of(data: MeasureData, *, is_of_bound: bool = False) -> str:
+    """Return why proportions are not tested; empty where they are. Equal ones may still be within a bound."""
     if not data.factors:
         return "all runs with a value have the same treatments, so that there is nothing to compare."
-    if np.ptp(data.values) == 0:
+    if np.ptp(data.values) == 0 and not is_of_bound:
         return f"all runs say {'yes' if data.values[0] else 'no'}."
     if data.stranded:
         return stranded_in_words(data)
@@ -202,13 +197,6 @@ def _effect(data: MeasureData, factor: str, alpha: float) -> Effect:
     )
 
 
-class Share(NamedTuple):
-    """A share from 0 to 1, and its effective number of runs."""
-
-    value: float
-    runs: float
-
-
 @dataclass(frozen=True, slots=True)
 class Strata:
     """The numbers of runs and of yes of each treatment of a factor, in strata of otherwise equal runs.
@@ -222,17 +210,37 @@ class Strata:
     yes: Integers
 
     @classmethod
-    def of(cls, data: MeasureData, factor: str, levels: Sequence[str]) -> Strata:
+    def of(cls, data: MeasureData, factor: str, levels: Sequence[str]) -> Self:
         """Count the runs with these treatments of a factor."""
-        frame = data.frame[data.frame[factor].isin(levels)]
+        return next(cls.of_each(data, factor, levels, data.values[None]))
+
+    @classmethod
+    def of_each(cls, data: MeasureData, factor: str, levels: Sequence[str], answers: Floats) -> Iterator[Self]:
+        """Count the runs with these treatments of a factor, in many experiments.
+
+        Args:
+            data: of one of them.
+            factor: whose treatments are compared.
+            levels: the treatments.
+            answers: 1 for yes and 0 for no, (experiments, runs).
+        """
+        is_of = np.asarray(data.frame[factor].isin(levels))
+        frame = data.frame[is_of]
         alike = frame[data.strata_columns(but=factor)].astype(str)
         numbers = alike.groupby(list(alike.columns)).ngroup() if len(alike.columns) else alike.index * 0
         runs = np.zeros((int(numbers.max()) + 1, len(levels)), dtype=np.int64)
-        yes = np.zeros_like(runs)
         places = frame[factor].astype(str).map({level: place for place, level in enumerate(levels)})
-        np.add.at(runs, (np.asarray(numbers), np.asarray(places)), 1)
-        np.add.at(yes, (np.asarray(numbers), np.asarray(places)), np.asarray(frame[VALUE], dtype=np.int64))
-        return cls(runs, yes)
+        cells = np.asarray(numbers), np.asarray(places)
+        np.add.at(runs, cells, 1)
+        for told in answers[:, is_of]:
+            yes = np.zeros_like(runs)
+            np.add.at(yes, cells, told.astype(np.int64))
+            yield cls(runs, yes)
+
+    @property
+    def pooled(self) -> Strata:
+        """All runs in one stratum."""
+        return Strata(self.runs.sum(axis=0, keepdims=True), self.yes.sum(axis=0, keepdims=True))
 
     def statistic(self) -> tuple[float, int]:
         """Return the generalised Mantel-Haenszel statistic and its degrees of freedom, which may be 0."""
@@ -268,7 +276,7 @@ class Strata:
         for sizes, count in zip(self.runs, self.yes.sum(axis=1), strict=True):
             n, first = int(sizes.sum()), int(sizes[0])
             low, high = max(0, int(count) - n + first), min(int(count), first)
-            chances = np.convolve(chances, stats.hypergeom.pmf(np.arange(low, high + 1), n, int(count), first))
+            chances = np.convolve(chances, _chances(low, high, n, int(count), first))
             least += low
         seen = chances[int(self.yes[:, 0].sum()) - least]
         found = min(1.0, chances[chances <= seen * (1 + _ROUNDING)].sum())
@@ -285,21 +293,29 @@ class Strata:
         drawn = np.einsum("ij,jk,ik->i", excess, inverse, excess)
         return float((1 + np.sum(drawn >= self.statistic()[0] * (1 - _ROUNDING))) / (1 + draws))
 
-    def shares(self) -> tuple[Share, Share] | None:
-        """Return the share of yes of each of two treatments; None if no stratum has runs of both.
+    def shares(self, weights: Sequence[float] = DIFFERENCE) -> tuple[Share, ...] | None:
+        """Return the share of yes of each treatment; None if no stratum has runs of all.
 
         Strata have Mantel-Haenszel weights, so that treatments with unequal numbers of runs are compared within strata.
         With equal numbers in all strata, all runs have the same weight.
+
+        Args:
+            weights: of the treatments in what is compared: a stratum counts by how precisely it tells their sum.
         """
-        both = self.runs[(self.runs > 0).all(axis=1)]
-        yes = self.yes[(self.runs > 0).all(axis=1)]
-        if not len(both):
+        has_all = (self.runs > 0).all(axis=1)
+        runs, yes = self.runs[has_all], self.yes[has_all]
+        if not len(runs):
             return None
-        weights = both.prod(axis=1) / both.sum(axis=1)
-        weights = weights / weights.sum()
-        first, second = (float(weights @ (yes[:, at] / both[:, at])) for at in (0, 1))
-        worth = [float(1 / (weights**2 @ (1 / both[:, at]))) for at in (0, 1)]
-        return Share(min(1.0, first), worth[0]), Share(min(1.0, second), worth[1])
+        of_strata = 1 / (np.square(weights) / runs).sum(axis=1)
+        of_strata = of_strata / of_strata.sum()
+        values, worth = of_strata @ (yes / runs), 1 / (of_strata**2 @ (1 / runs))
+        return tuple(Share(min(1.0, float(value)), float(n)) for value, n in zip(values, worth, strict=True))
+
+
+@lru_cache(maxsize=4096)  # thousands of simulated experiments have the same margins
+def _chances(low: int, high: int, runs: int, yes: int, first: int) -> Floats:
+    """Return the probability of each number of yes, from low to high, among the runs of the first treatment."""
+    return np.asarray(stats.hypergeom.pmf(np.arange(low, high + 1), runs, yes, first), dtype=np.float64)
 
 
 # Pairs of treatments.
@@ -333,12 +349,12 @@ def compare_proportions(data: MeasureData, choices: Choices, most_pairs: int) ->
 
 
 def _comparison(
-    pair: tuple[str, str], shares: tuple[Share, Share], p_value: float, adjusted_p_value: float, alpha: float
+    pair: tuple[str, str], shares: Sequence[Share], p_value: float, adjusted_p_value: float, alpha: float
 ) -> Comparison:
-    low, high = difference_ends(*shares, float(stats.norm.isf(alpha / 2)))
+    low, high = sum_ends(shares, DIFFERENCE, float(stats.norm.isf(alpha / 2)))
     return Comparison(
         *pair,
-        difference=100 * (shares[0].value - shares[1].value),
+        difference=100 * sum_of(shares, DIFFERENCE),
         interval=Interval(100 * low, 100 * high, 1 - alpha, "Newcombe's score interval"),
         statistic_name="",
         statistic=None,
@@ -349,44 +365,3 @@ def _comparison(
         check_p_value=None,
         effect_sizes=(),
     )
-
-
-def difference_ends(first: Share, second: Share, z: float, times: float = 1.0) -> tuple[float, float]:
-    """Return the ends of the interval of a difference: method 10 of Newcombe, Statistics in Medicine 17, 1998.
-
-    Args:
-        first: one share.
-        second: the share that is subtracted.
-        z: the half-width in standard deviations.
-        times: the factor of the second share (for other than 1: Zou, Huang and Zhang, Computational Statistics and Data
-            Analysis 53, 2009).
-    """
-    one, other = first.value, second.value
-    (low, high), (other_low, other_high) = _score_ends(*first, z), _score_ends(*second, z)
-    difference = one - times * other
-    below, above = (times * each for each in (other_high - other, other - other_low))
-    return difference - math.hypot(one - low, below), difference + math.hypot(high - one, above)
-
-
-#: The largest half-width of an interval, in standard deviations, in the search for a score.
-_FURTHEST = 1e4
-
-
-def score_of(first: Share, second: Share, null: float = 0.0, times: float = 1.0) -> float:
-    """Return the z score of a difference: the signed half-width of the interval that ends at the null difference.
-
-    Args:
-        first: one share.
-        second: the share that is subtracted.
-        null: the difference under the null hypothesis.
-        times: the factor of the second share.
-    """
-    difference = first.value - times * second.value
-    if difference == null:
-        return 0.0
-    end, sign = (0, 1.0) if difference > null else (1, -1.0)
-
-    def left(z: float) -> float:
-        return sign * (difference_ends(first, second, z, times)[end] - null)
-
-    return sign * (math.inf if left(_FURTHEST) >= 0 else float(optimize.brentq(left, 0.0, _FURTHEST)))

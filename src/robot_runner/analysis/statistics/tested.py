@@ -353,14 +353,15 @@ class ContrastTest:
 
     Attributes:
         statement: the hypothesis in words.
-        estimate: the weighted sum of means.
+        estimate: the weighted sum of means, or of proportions in percent.
         interval: at 1 - alpha; for equivalence at 1 - 2 alpha, which decides it.
+        statistic: t; None of proportions, likewise the degrees of freedom.
         p_value: of the test against zero; for equivalence, of two one-sided tests.
     """
 
     statement: str
     estimate: float
     interval: Interval
-    statistic: float
-    degrees_of_freedom: float
+    statistic: float | None
+    degrees_of_freedom: float | None
     p_value: float

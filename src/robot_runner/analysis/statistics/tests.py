@@ -124,7 +124,7 @@ def _model_of(data: MeasureData, estimand: Estimand, statistic: Statistic) -> _U
             return NotComputed("the test", why)
         return fit_model(data, _ranks(data) if estimand is Estimand.RANK else None)
     found = CellMeans.of_values(layout, data.values, estimand, statistic)
-    if not found.has_variation:
+    if not np.all(found.has_variation):
         same = "all blocks respond to the treatments in the same way"
         same = same if layout.is_blocked else "within each combination all values are equal"
         return NoVariation("the test", f"{same}, so that there is no variation to test against.")

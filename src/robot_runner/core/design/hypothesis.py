@@ -27,8 +27,9 @@ class Hypothesis:
         measure: the measure that it is about.
         factors: the factor whose effect it claims; several for an interaction.
         contrast: the weight of each treatment, of one factor; the weights sum up to zero. Others have none.
-        within: the bound of equivalence, in the measure's unit; without a contrast the factor has two treatments.
-        below: the bound that the contrast is smaller than, in the measure's unit; it may be 0 or negative.
+        within: the bound of equivalence, in the measure's unit (percentage points of what is yes or no); without a
+            contrast the factor has two treatments.
+        below: the bound that the contrast is smaller than, in the same unit; it may be 0 or negative.
 
     Raises:
         DesignError: an attribute is empty or of a wrong type.
