@@ -20,6 +20,7 @@ from robot_runner.cluster import cluster_places
 from robot_runner.core.config.preparation import prepare_or_refuse
 from robot_runner.core.errors import ExecutionError
 from robot_runner.core.execution.left_processes import RunMark, RunsElsewhere, runs_elsewhere
+from robot_runner.core.execution.standby_lock import LONGEST
 from robot_runner.core.storage.claim_locks import HeldClaims
 from robot_runner.core.storage.layout import ExperimentFolder
 
@@ -285,6 +286,21 @@ def test_runs_of_an_orchestrator_that_was_killed_are_waited_for_before_any_is_be
     assert len(places.all) == 1
     places.close()
     assert list(experiment.folder.root.iterdir()) == []
+
+
+@pytest.mark.parametrize(("robot", "stopping"), [("'dds:domain=7'", LONGEST), ("'simulated'", 0.0), ("None", 0.0)])
+def test_another_run_of_a_lost_worker_s_robot_waits_until_that_can_have_been_stopped(
+    watched: Watched, monkeypatch: pytest.MonkeyPatch, robot: str, stopping: float
+) -> None:
+    # A config that commands the robot by itself is enough: a standby stops it without a `make_safe` of any system.
+    monkeypatch.setattr(cluster_places, "PipedProcess", Mock())
+    text = watched.config.read_text().replace("    grace_in_s", f"    robot = {robot}\n    grace_in_s")
+    watched.config.write_text(text)
+    experiment = prepare_or_refuse(watched.config, {}, looks_at_graph=False)
+    experiment.folder.root.mkdir(parents=True)
+    places = cluster_places.ClusterPlaces(experiment, "tcp://scheduler:8786")
+    grace = experiment.parameters.grace_in_s
+    assert places.longest_end == cluster_places._LEASE + grace + cluster_places._KILLING + stopping
 
 
 def test_where_the_process_that_speaks_to_the_cluster_ends_the_experiment_says_so(

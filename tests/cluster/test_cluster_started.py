@@ -73,6 +73,31 @@ def test_what_a_cluster_cannot_do_is_found_before_anything_is_executed(watched: 
     assert "DASK_DISTRIBUTED__COMM__TLS__CA_FILE" in problems(cluster="tls://scheduler:8786")
 
 
+@pytest.mark.parametrize("lasting", ["Program(['true'], per={!r})", "Tune(turbo=False, scope={!r})"])
+def test_a_plugin_that_is_set_up_once_for_all_runs_is_refused_as_workers_execute_them(
+    watched: Watched, lasting: str
+) -> None:
+    config = watched.config.read_text().replace(
+        "from pathlib", "from robot_runner.plugins.systems import *\nfrom pathlib"
+    )
+
+    def problems(span: str, **settings: str) -> list[str]:
+        watched.config.write_text(config.replace("claims = []", f"plugins = [{lasting.format(span)}]"))
+        found = map(str, prepare(watched.config, settings).findings)
+        return [each for each in found if "of a cluster" in each]
+
+    (problem,) = problems("experiment", cluster="tcp://scheduler:8786")
+    assert "set up once for all runs, on this machine" in problem
+    assert problems("experiment") == problems("run", cluster="tcp://scheduler:8786") == []
+
+
+def test_caches_are_dropped_in_each_run_on_its_worker(watched: Watched) -> None:
+    config = watched.config.read_text().replace("claims = []", "plugins = [Tune(drop_caches=True)]")
+    watched.config.write_text(f"from robot_runner.plugins.systems import Tune\n{config}")
+    found = " ".join(map(str, prepare(watched.config, {"cluster": "tcp://scheduler:8786"}).findings))
+    assert "of a cluster" not in found
+
+
 def test_a_setting_of_dasks_configuration_that_cannot_be_is_found(watched: Watched) -> None:
     def problems(**settings: object) -> list[str]:
         with dask.config.set({f"robot_runner.{name}": value for name, value in settings.items()}):

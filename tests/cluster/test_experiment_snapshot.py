@@ -9,17 +9,19 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from robot_runner.cluster.experiment_snapshot import experiment_of, inputs_of, snapshot_of
+from robot_runner.cluster.experiment_snapshot import experiment_of, inputs_of, snapshot_of, task_here, texts_here
 from robot_runner.core.config.preparation import prepare, prepare_or_refuse
 from robot_runner.core.design.asking import DECIDED
 from robot_runner.core.design.batch import Batch, BatchRun
 from robot_runner.core.design.planned_runs import RunOrder
 from robot_runner.core.errors import ConfigError
+from robot_runner.core.execution.given_values import given_values
 from robot_runner.core.execution.task import RunTask
 from robot_runner.core.execution.worker import described_task, task_of
 from robot_runner.core.storage import input_files
 from robot_runner.core.storage.input_files import InputFile
 from robot_runner.core.storage.journal import Journal
+from robot_runner.core.storage.manifest import write_manifest
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -135,3 +137,54 @@ def own_modules() -> Iterator[None]:
         yield
     finally:
         sys.modules.pop("places_of_this_study", None)
+
+
+PATHS = CONFIG.replace(
+    "from places_of_this_study import PLACES", "from pathlib import Path\n\nHERE = Path(__file__).parent"
+)
+
+
+@pytest.mark.parametrize("place", ['HERE / "hall.yaml"', 'f"--map={HERE}/hall.yaml"', '"hall.yaml"'])
+def test_a_treatment_that_names_a_file_beside_the_config_names_the_copy_on_the_worker(
+    tmp_path: Path, place: str
+) -> None:
+    (tmp_path / "study.py").write_text(PATHS.replace("PLACES", f"[{place}]"), encoding="utf-8")
+    here = prepare_or_refuse(tmp_path / "study.py", {})
+    snapshot = json.loads(json.dumps(snapshot_of(here)))
+    described = json.loads(
+        json.dumps(described_task(here, RunTask("r_1", 1, 1, 1, here.model.plan()[0].combination, 1, 1, 1)))
+    )
+    there = experiment_of(snapshot, tmp_path / "worker")
+    task = task_here(there, described, texts_here(snapshot, there))
+    named = eval(place, {"HERE": tmp_path / "worker" / "source"})  # noqa: S307 - as written above
+    assert task.combination == {"Place": named}
+
+
+def test_a_worker_with_other_treatments_says_so_before_it_gets_any_run(tmp_path: Path) -> None:
+    (tmp_path / "study.py").write_text(PATHS.replace("PLACES", "[len(str(HERE))]"), encoding="utf-8")
+    snapshot = snapshot_of(prepare_or_refuse(tmp_path / "study.py", {}))
+    there = experiment_of(snapshot, tmp_path / "worker")
+    with pytest.raises(ConfigError, match=f"treatment '{len(str(tmp_path))}' is not there"):
+        texts_here(snapshot, there)
+
+
+FROM_OUTSIDE = CONFIG.replace("from places_of_this_study import PLACES", "import os").replace(
+    '"results"', '"results"\n    gain = float(os.environ.get("GAIN_OF_TRIAL", "1"))'
+)
+
+
+def test_a_worker_on_which_the_config_takes_other_values_from_outside_executes_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "study.py").write_text(FROM_OUTSIDE.replace("PLACES", "[1]"), encoding="utf-8")
+    monkeypatch.setenv("GAIN_OF_TRIAL", "2.5")
+    here = prepare_or_refuse(tmp_path / "study.py", {})
+    here.folder.root.mkdir(parents=True)
+    write_manifest(here.folder.manifest, {"executions": [{"given": given_values(here)}]})
+    snapshot = json.loads(json.dumps(snapshot_of(here)))
+    assert experiment_of(snapshot, tmp_path / "same").config.gain == 2.5
+    monkeypatch.delenv("GAIN_OF_TRIAL")
+    with pytest.raises(ConfigError, match=r"gain \(2.5, here 1.0\)"):
+        experiment_of(snapshot, tmp_path / "other")
+    set_here = {**snapshot, "set": {**snapshot["set"], "gain": "2.5"}}
+    assert experiment_of(set_here, tmp_path / "set").config.gain == 2.5

@@ -5,12 +5,13 @@ from __future__ import annotations
 import asyncio
 import hashlib
 import json
+import stat
 import tracemalloc
 from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from robot_runner.cluster.raw_data_transfer import PIECE, TransferError, bring_home
+from robot_runner.cluster.raw_data_transfer import PIECE, TransferError, bring_home, listed_files, open_up
 from robot_runner.core.errors import StorageError
 
 if TYPE_CHECKING:
@@ -125,3 +126,17 @@ def test_more_than_fits_is_refused_before_anything_is_asked_for(tmp_path: Path) 
     with pytest.raises(StorageError, match="are free here"):
         asyncio.run(bring_home(worker.read, {"files": 1, "bytes": 10**18, "list": 9}, tmp_path / "run", tmp_path))
     assert worker.asked == 0
+
+
+def test_what_a_run_has_shut_is_opened_up_and_links_lead_nowhere(tmp_path: Path) -> None:
+    outside, left = tmp_path / "outside", tmp_path / "left"
+    outside.mkdir(mode=0o500)
+    (left / "cache").mkdir(parents=True)
+    (left / "link").symlink_to(outside)
+    (left / "cache" / "bag.db3").write_bytes(b"scans")
+    (left / "cache" / "bag.db3").chmod(0)
+    (left / "cache").chmod(0o500)
+    open_up(left)
+    modes = [stat.S_IMODE(each.stat().st_mode) for each in (left / "cache", left / "cache" / "bag.db3", outside)]
+    assert modes == [0o700, 0o400, 0o500]
+    assert listed_files(left) == ([("cache/bag.db3", 5, hashlib.sha256(b"scans").hexdigest())], ["link"])

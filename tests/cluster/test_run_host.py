@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import select
 import time
@@ -69,6 +70,18 @@ class Polls:
         return []
 
 
+def _replies(experiment: Experiment, folder: Path, requests: int, requested: int, told: int, tells: int) -> list[Any]:
+    """Return what the process tells that is to execute a run."""
+    task = described_task(experiment, RunTask("r_1", 1, 1, 1, {"Task": "Video"}, 1, 1, 1))
+    order = {"token": "89ab", "until": time.clock_gettime(time.CLOCK_BOOTTIME) + LEASE, "task": task}
+    RecordWriter(requested)("execute", order)
+    run_host._Host(experiment, folder, None, {}, requests, RecordWriter(tells, waits=True)).serve()
+    replies: list[Any] = RecordReader(told).read()[0]
+    for each in (requests, told, tells):
+        os.close(each)
+    return replies
+
+
 def test_a_run_ends_as_soon_as_its_worker_wakes_up_after_its_lease(
     write_config: Callable[..., Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -84,12 +97,29 @@ def test_a_run_ends_as_soon_as_its_worker_wakes_up_after_its_lease(
 
     monkeypatch.setattr(run_host, "begin_run", begun)
     experiment = prepare_or_refuse(write_config(), {})
-    task = described_task(experiment, RunTask("r_1", 1, 1, 1, {"Task": "Video"}, 1, 1, 1))
-    order = {"token": "89ab", "until": time.clock_gettime(time.CLOCK_BOOTTIME) + LEASE, "task": task}
-    RecordWriter(requested)("execute", order)
-    run_host._Host(experiment, tmp_path, None, requests, RecordWriter(tells, waits=True)).serve()
-    replies: list[Any] = RecordReader(told).read()[0]
-    for each in (requests, told, tells):
-        os.close(each)
+    replies = _replies(experiment, tmp_path, requests, requested, told, tells)
     assert ("ended", {"lost": run_host.GONE, "is_certain": True}) in replies
     assert all(each is not None and each < SOON * 1000 for each in polls.timeouts[1:2]), "a poll counts no suspension"
+
+
+def test_a_file_that_the_worker_may_not_read_fails_its_run_and_sets_no_worker_aside(
+    write_config: Callable[..., Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As where a container has written it as root: another worker would have no better luck."""
+    monkeypatch.setattr(run_host, "_lack_of_room", lambda _: "")
+    (requests, requested), (told, tells) = os.pipe(), os.pipe()
+    experiment = prepare_or_refuse(write_config(), {})
+
+    def begun(_experiment: Experiment, task: RunTask, builder: OutcomeBuilder, _watch: object) -> DrivingRun:
+        experiment.folder.run(task.run_id).mkdir(parents=True, exist_ok=True)
+        return DrivingRun(builder, lambda: None, lambda: os.close(requested))
+
+    def listed(kept: Path) -> Any:
+        raise PermissionError(errno.EACCES, "Permission denied", str(kept / "bag" / "metadata.yaml"))
+
+    monkeypatch.setattr(run_host, "begin_run", begun)
+    monkeypatch.setattr(run_host, "listed_files", listed)
+    replies = _replies(experiment, tmp_path, requests, requested, told, tells)
+    (ended,) = [fields for kind, fields in replies if kind == "ended"]
+    assert "lost" not in ended
+    assert ended["because"].startswith("'bag/metadata.yaml', which the run has left on the worker, cannot be read")

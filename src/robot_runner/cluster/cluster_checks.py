@@ -15,7 +15,6 @@ _TLS = "distributed.comm.tls"
 
 def check_cluster(where: str, parameters: Parameters, plugins: Sequence[Plugin]) -> list[Finding]:
     """Return what keeps the workers of a cluster from executing the experiment; nothing where no cluster is used."""
-    del plugins
     if parameters.cluster is None:
         return []
     place = f"{where}.cluster"
@@ -26,6 +25,11 @@ def check_cluster(where: str, parameters: Parameters, plugins: Sequence[Plugin])
     if parameters.run_process is RunProcess.IN_PROCESS:
         problem = "run_process is IN_PROCESS, and a worker executes runs in processes of their own"
         findings.append(Finding.error(f"{where}.run_process", problem, "Leave run_process out, or choose SPAWN."))
+    for each in plugins:
+        if each.is_for_all_runs:
+            problem = "it is set up once for all runs, on this machine, and the workers of a cluster execute them"
+            fix = "Have it set up in each run (per='run', or scope='run'), or leave cluster out."
+            findings.append(Finding.error(f"plugin {each.name}", problem, fix))
     if parameters.cluster.startswith("tls://"):
         findings += _tls_findings(place)
     try:

@@ -25,9 +25,8 @@ from robot_runner.cluster.run_at_worker import (
 from robot_runner.core.config.experiment import Experiment
 from robot_runner.core.errors import ExecutionError, Finding
 from robot_runner.core.execution.left_processes import MARK_OF_ELSEWHERE, RunsElsewhere, forget_runs_elsewhere
-from robot_runner.core.execution.standby import RETRYING
-from robot_runner.core.links.connect import is_simulated
-from robot_runner.core.plugin import System
+from robot_runner.core.execution.run_events import has_standby
+from robot_runner.core.execution.standby_lock import LONGEST
 from robot_runner.core.storage import guarded_files
 from robot_runner.core.words import listed
 
@@ -327,9 +326,8 @@ class ClusterPlaces:
 
 def _closing_of(experiment: Experiment) -> float:
     """Return how long a run that is asked to stop may take until nothing of it is left, s."""
-    may_stand_by = any(type(each).make_safe is not System.make_safe for each in experiment.systems)
-    making_safe = RETRYING if may_stand_by and not is_simulated(experiment.parameters.robot) else 0.0
-    return experiment.parameters.grace_in_s + _KILLING + making_safe
+    # Until its standby has ended, another run at a worker would command the same robot.
+    return experiment.parameters.grace_in_s + _KILLING + (LONGEST if has_standby(experiment) else 0.0)
 
 
 def _lack_of(claims: Sequence[str]) -> tuple[str, str]:

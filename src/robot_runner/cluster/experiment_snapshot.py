@@ -18,17 +18,25 @@ from robot_runner.core.config.plugin_checks import check_plugins
 from robot_runner.core.config.preparation import prepare_or_refuse
 from robot_runner.core.design.batches import GROWTH
 from robot_runner.core.errors import ConfigError, ExecutionError, Finding
+from robot_runner.core.execution.given_values import given_elsewhere, last_given
 from robot_runner.core.execution.resumption import config_files
-from robot_runner.core.execution.worker import describe_revisions, restore_revisions
+from robot_runner.core.execution.task import RunTask
+from robot_runner.core.execution.worker import describe_revisions, restore_revisions, task_of
 from robot_runner.core.links.connect import link_findings
 from robot_runner.core.storage.input_files import copy_kept, kept_copies, missing_inputs
 from robot_runner.core.storage.journal import journal_lines
 from robot_runner.core.storage.layout import ExperimentFolder
+from robot_runner.core.storage.manifest import read_manifest
 
 #: The setting by which a worker has no cluster of its own, and executes its runs itself.
 _NO_CLUSTER = "none"
 #: The folder of the config and its modules, within the folder of the process that executes runs.
 SOURCE = "source"
+_GIVEN_FIX = "Start the workers with the same variables of the environment, or set it for all: --set NAME=VALUE."
+_TREATMENTS_FIX = (
+    "Have the config make the same ones on each machine: give random ones a seed, and name files that they are read "
+    "from in its method input_files."
+)
 _TREES_FIX = "Have XDG_CACHE_HOME be a folder that workers see as well, and start the experiment again."
 
 
@@ -46,6 +54,7 @@ def snapshot_of(experiment: Experiment) -> dict[str, Any]:
         )
     batches = journal_lines(experiment.folder.journal, kinds=GROWTH) if experiment.folder.journal.exists() else ()
     robot, name = experiment.parameters.robot, experiment.parameters.experiment_name
+    manifest = experiment.folder.manifest
     return {
         "config": experiment.config_path.name,
         # Byte by byte, each as the character of its number: Python reads the encoding from the file itself.
@@ -59,6 +68,9 @@ def snapshot_of(experiment: Experiment) -> dict[str, Any]:
             "experiment_name": name,
             **({"robot": robot} if isinstance(robot, str) else {}),
         },
+        "given": last_given(read_manifest(manifest)) if manifest.exists() else None,
+        "treatments": {factor.name: list(factor.texts) for factor in experiment.model.factors},
+        "folders": list(map(str, _spellings(experiment.config_path))),
         "batches": "".join(line.decode("utf-8").rstrip("\n") + "\n" for line in batches),
         "revisions": describe_revisions(experiment.model.factors),
     }
@@ -72,7 +84,7 @@ def experiment_of(snapshot: Mapping[str, Any], folder: Path) -> Experiment:
         folder: the worker's own, for the config and all that a run writes.
 
     Raises:
-        ConfigError: the config cannot be loaded here, or this worker lacks what it needs; carries every finding.
+        ConfigError: the config cannot be loaded here, has other values, or lacks what it needs; carries every finding.
     """
     for name, text in snapshot["files"].items():
         path = folder / SOURCE / name
@@ -88,11 +100,57 @@ def experiment_of(snapshot: Mapping[str, Any], folder: Path) -> Experiment:
         journal.parent.mkdir(parents=True, exist_ok=True)
         journal.write_text(snapshot["batches"], encoding="utf-8")
     experiment = load()
+    others = given_elsewhere(experiment, {"given_to_extension": snapshot["given"]}, snapshot["set"])
+    ConfigError.refuse(Finding.error(f"config, {each}", "the value is another one here", _GIVEN_FIX) for each in others)
     _refuse_unfit(experiment, snapshot["revisions"])
     restore_revisions(experiment.model.factors, snapshot["revisions"])
     experiment.folder.root.mkdir(parents=True, exist_ok=True)
     experiment.folder.runs.mkdir(exist_ok=True)
     return experiment
+
+
+def texts_here(snapshot: Mapping[str, Any], experiment: Experiment) -> dict[str, dict[str, str]]:
+    """Return, for each factor, the texts of treatments that differ on this worker, by those of the orchestrator.
+
+    A treatment that names a file beside the config (`Path(__file__).parent / "hall.yaml"`) names its copy here.
+
+    Raises:
+        ConfigError: a treatment is not there.
+    """
+    folders = [*zip(snapshot["folders"], map(str, _spellings(experiment.config_path)), strict=True)]
+    differing: dict[str, dict[str, str]] = {}
+    for factor in experiment.model.factors:
+        for text in snapshot["treatments"].get(factor.name, ()):
+            if factor.position_of_text(text) is not None:
+                continue
+            moved = [
+                each for old, new in folders if factor.position_of_text(each := text.replace(old, new)) is not None
+            ]
+            if not moved:
+                problem = f"treatment {text!r} is not there when the config is loaded on this worker"
+                raise ConfigError(problem, where=f"factor {factor.name!r}", fix=_TREATMENTS_FIX)
+            differing.setdefault(factor.name, {})[text] = moved[0]
+    return differing
+
+
+def task_here(
+    experiment: Experiment, described: Mapping[str, Any], differing: Mapping[str, Mapping[str, str]]
+) -> RunTask:
+    """Return the task that the orchestrator has described, with the treatments of this worker (`texts_here`).
+
+    Raises:
+        ConfigError: a treatment is not there.
+    """
+    combination = {
+        name: (is_treatment, differing.get(name, {}).get(value, value) if is_treatment else value)
+        for name, (is_treatment, value) in described["combination"].items()
+    }
+    return task_of(experiment, {**described, "combination": combination})
+
+
+def _spellings(config: Path) -> tuple[Path, Path]:
+    """Return the folder of a config as it was given, and without links."""
+    return config.parent, config.resolve().parent
 
 
 @contextmanager

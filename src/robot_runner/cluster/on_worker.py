@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.cluster.piped_process import HostProcess, Outgoing
+from robot_runner.cluster.raw_data_transfer import open_up
 from robot_runner.cluster.run_host import INPUTS, OUTBOX, ended_unbegun
 from robot_runner.cluster.worker_versions import described_versions
 from robot_runner.core.execution.clock_jumps import now_counting_suspension
@@ -331,6 +332,7 @@ class _Session:
             host.wait(self._facts["grace"] + _CLOSING)
         for host in self._idle:  # a busy one is ended by the thread that follows it
             host.close()
+        open_up(self.folder)
         shutil.rmtree(self.folder, ignore_errors=True)
 
     def _free_host(self) -> HostProcess:

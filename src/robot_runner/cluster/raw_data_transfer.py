@@ -11,7 +11,9 @@ import hashlib
 import json
 import os
 import shutil
-from collections.abc import Awaitable, Callable, Mapping
+import stat
+from collections.abc import Awaitable, Callable, Iterator, Mapping
+from contextlib import suppress
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -33,6 +35,46 @@ Read = Callable[[str, int, int], Awaitable[tuple[bytes, str]]]
 
 class TransferError(Exception):
     """The worker's files could not be copied correctly."""
+
+
+def open_up(path: Path) -> None:
+    """Let this process read and remove what a run has left that its user may: it may have taken away these rights."""
+    with suppress(OSError):  # it is somebody else's, or not there
+        mode = path.lstat().st_mode
+        if stat.S_ISREG(mode) and not mode & stat.S_IRUSR:
+            path.chmod(mode | stat.S_IRUSR)
+        elif stat.S_ISDIR(mode):
+            if mode & stat.S_IRWXU != stat.S_IRWXU:
+                path.chmod(mode | stat.S_IRWXU)
+            for each in path.iterdir():
+                open_up(each)
+
+
+def listed_files(folder: Path) -> tuple[list[tuple[str, int, str]], list[str]]:
+    """Return name, size and SHA-256 of each regular file of a folder, and the names of what else is there.
+
+    Raises:
+        OSError: something cannot be read.
+    """
+    files: list[tuple[str, int, str]] = []
+    others: list[str] = []
+    for path in _paths(folder):
+        name = path.relative_to(folder).as_posix()
+        if not stat.S_ISREG(path.lstat().st_mode):
+            others.append(name)
+            continue
+        with path.open("rb") as file:
+            digest = hashlib.file_digest(file, "sha256").hexdigest()
+            files.append((name, file.tell(), digest))
+    return files, others
+
+
+def _paths(folder: Path) -> Iterator[Path]:
+    for path in sorted(folder.iterdir()):
+        if path.is_dir() and not path.is_symlink():
+            yield from _paths(path)
+        else:
+            yield path
 
 
 async def bring_home(read: Read, ended: Mapping[str, Any], run: Path, root: Path) -> None:

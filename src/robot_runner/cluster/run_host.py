@@ -12,22 +12,21 @@ orchestrator executes them elsewhere some time later. What the process wrote on 
 from __future__ import annotations
 
 import gc
-import hashlib
 import json
 import os
 import select
 import shutil
-import stat
 import sys
 import time
 import traceback
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from contextlib import ExitStack, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from robot_runner.cluster.experiment_snapshot import SOURCE, experiment_of, inputs_of
+from robot_runner.cluster.experiment_snapshot import SOURCE, experiment_of, inputs_of, task_here, texts_here
+from robot_runner.cluster.raw_data_transfer import listed_files, open_up
 from robot_runner.core.config.claims import Claims
 from robot_runner.core.config.experiment import Experiment
 from robot_runner.core.errors import ExecutionError, RobotRunnerError
@@ -40,7 +39,6 @@ from robot_runner.core.execution.places import RunInFlight, Watch
 from robot_runner.core.execution.processes import use_no_streams
 from robot_runner.core.execution.run_records import RecordReader, RecordWriter
 from robot_runner.core.execution.task import OutcomeBuilder, RunOutcome, RunTask
-from robot_runner.core.execution.worker import task_of
 from robot_runner.core.storage.claim_locks import HeldClaims
 from robot_runner.core.storage.guarded_files import make_folder, open_descriptor
 from robot_runner.core.storage.layout import ExperimentFolder
@@ -71,11 +69,13 @@ class _Host:
         experiment: Experiment,
         folder: Path,
         shared: tuple[Path, Path] | None,
+        texts: Mapping[str, Mapping[str, str]],
         requests: int,
         replies: RecordWriter,
     ) -> None:
         self._experiment = experiment
         self._shared = shared
+        self._texts = texts
         self._folder = folder
         load_before_forks(experiment)
         self._descriptor = requests
@@ -166,7 +166,7 @@ class _Host:
             told = {"lost": GONE, "is_certain": True}
         elif (asked := self._stopped) is not None:
             told = ended_unbegun(asked)
-        elif not self._has_claims(task_of(self._experiment, order["task"])):
+        elif not self._has_claims(task_here(self._experiment, order["task"], self._texts)):
             return
         self._order = None
         if told is None:
@@ -196,7 +196,7 @@ class _Host:
             self._held.close()
             self._tell("ended", {"lost": lack, "is_certain": True, "is_unfit": True})
             return
-        self._task = task = replace(task_of(self._experiment, order["task"]), slot=1)  # of this machine
+        self._task = task = replace(task_here(self._experiment, order["task"], self._texts), slot=1)  # of this machine
         for plugin in self._experiment.plugins:  # which the orchestrator has done as well
             bind(plugin, task.combination)
         self._is_stopped = False
@@ -234,6 +234,9 @@ class _Host:
         }
         try:
             ended |= self._kept(self._task)
+        except PermissionError as error:  # of this run, as where a container has written as root; others go on
+            name = str(error.filename).rpartition(f"{self._token}{os.sep}")[2]
+            ended["because"] = f"{name!r}, which the run has left on the worker, cannot be read: {error.strerror}"
         except (OSError, RobotRunnerError) as error:
             ended["lost"] = f"what the run left on the worker cannot be kept: {error}"
         room = shutil.disk_usage(self._folder).free
@@ -245,6 +248,7 @@ class _Host:
         """Remove the log and files of a lost attempt: else the next attempt here would append to them."""
         folder = self._experiment.folder
         folder.current_log.unlink(missing_ok=True)
+        open_up(folder.run(task.run_id))
         shutil.rmtree(folder.run(task.run_id), ignore_errors=True)
 
     def _kept(self, task: RunTask) -> dict[str, Any]:
@@ -256,17 +260,18 @@ class _Host:
             shutil.copyfile(log, folder.log(task.run_id))  # the runs may be on another file system
         log.unlink(missing_ok=True)
         run = folder.run(task.run_id)
+        open_up(run)
         if not run.exists():
             return {"files": 0, "bytes": 0, "skipped": []}
         outbox = self._folder / OUTBOX
         outbox.mkdir(exist_ok=True)
         kept = run.rename(outbox / self._token)
-        listed, skipped = _listed(kept)
+        listed, skipped = listed_files(kept)
         if self._shared is not None:
             root, runs = self._shared
             for name, _, _ in listed:
                 self._put_in_place(kept / name, runs / task.run_id / name, root)
-            shutil.rmtree(kept)
+            shutil.rmtree(kept, ignore_errors=True)
             return {"files": 0, "bytes": 0, "skipped": skipped}
         text = "".join(json.dumps(each) + "\n" for each in listed)
         (outbox / f"{self._token}.list").write_text(text, encoding="utf-8")
@@ -312,31 +317,9 @@ def _lack_of_room(folder: Path) -> str:
     return f"the worker's disk is full: {room / 1e6:.0f} MB are left" if room < _ROOM else ""
 
 
-def _listed(folder: Path) -> tuple[list[tuple[str, int, str]], list[str]]:
-    """Return name, size and SHA-256 of each regular file of a folder, and the names of what else is there."""
-    files: list[tuple[str, int, str]] = []
-    others: list[str] = []
-    for path in _paths(folder):
-        name = path.relative_to(folder).as_posix()
-        if not stat.S_ISREG(path.lstat().st_mode):
-            others.append(name)
-            continue
-        with path.open("rb") as file:
-            digest = hashlib.file_digest(file, "sha256").hexdigest()
-            files.append((name, file.tell(), digest))
-    return files, others
-
-
-def _paths(folder: Path) -> Iterator[Path]:
-    for path in sorted(folder.iterdir()):
-        if path.is_dir() and not path.is_symlink():
-            yield from _paths(path)
-        else:
-            yield path
-
-
 def _clear(folder: Path) -> None:
     """Remove what this process wrote, and the session's folder with the last of its processes."""
+    open_up(folder)
     shutil.rmtree(folder, ignore_errors=True)
     with suppress(OSError):
         if not any(each.is_dir() and each.name != INPUTS for each in folder.parent.iterdir()):
@@ -365,7 +348,8 @@ def main(requests: int, writer: int, folder: Path) -> None:
             if lack := _lack_of_room(folder):
                 tell("refused", {"problems": [lack]})
                 return
-            host = _Host(experiment, folder, shared, requests, tell)
+            texts = texts_here(session["snapshot"], experiment)
+            host = _Host(experiment, folder, shared, texts, requests, tell)
             tell("ready", {})
             host.serve()
     except RobotRunnerError as error:

@@ -12,6 +12,7 @@ from robot_runner.core.config.parameters import Parameters
 from robot_runner.core.errors import Finding
 from robot_runner.core.events.condition import Condition
 from robot_runner.core.links.connect import is_simulated
+from robot_runner.core.links.declared_host import LOCAL
 from robot_runner.core.plugin import Plugin, Profiler, System, with_parts
 from robot_runner.core.words import listed
 
@@ -31,6 +32,8 @@ def check_conditions(where: str, parameters: Parameters, plugins: Sequence[Plugi
             yield replace(finding, where=f"{place}, {finding.where}")
     for place, condition in gates.items():
         yield from _without_run(place, condition)
+    if parameters.cluster is not None:
+        yield from _of_this_machine(gates)
     if is_simulated(parameters.robot):
         yield from _of_robots_apart({**gates, **guards}, plugins)
 
@@ -44,6 +47,15 @@ def _without_run(place: str, condition: Condition) -> Iterator[Finding]:
         if isinstance(leaf, Bound) and isinstance(leaf.quantity, Measured):
             problem = f"before a run nothing is published, so that never is true: {leaf}"
             yield Finding.error(place, problem, "Await it in the mission, with wait(context, timeout_s=...).")
+
+
+def _of_this_machine(gates: Mapping[str, Condition]) -> Iterator[Finding]:
+    """Yield a warning for each part of a gate that is about this machine, while workers execute the runs."""
+    for place, subject in _parts(gates):
+        if getattr(getattr(subject, "computer", subject), "host", None) == LOCAL:
+            problem = "a gate is awaited on this machine, and the workers of a cluster execute the runs"
+            fix = "Name the computer that is meant (host=...), or await it in start_run: wait(context, timeout_s=...)."
+            yield Finding.warning(place, problem, fix)
 
 
 def _of_robots_apart(conditions: Mapping[str, Condition], plugins: Sequence[Plugin]) -> Iterator[Finding]:

@@ -37,6 +37,7 @@ class Circumstances:
         listed: the names of all plugins in the order of the config; those that cannot be built, and are not among
             `plugins`, come last.
         robots: how each of several robots that take turns is reached; empty for one robot.
+        has_run_table: whether there is a run table; where it could not be made, nothing is known of its factors.
     """
 
     robot: str | None = None
@@ -44,6 +45,7 @@ class Circumstances:
     plugins: Sequence[Plugin] = ()
     listed: Sequence[str] = ()
     robots: Sequence[str] = ()
+    has_run_table: bool = True
 
     def before(self, plugin: Plugin) -> list[Plugin]:
         """Return the plugins that are listed before one, whose event callbacks are called before its own."""
@@ -63,6 +65,8 @@ class Plugin(Bindable):
         smoke_parameters: parameters for a smoke test, where these are smaller than the given ones: a shorter mission
             that is otherwise the same.
         starts_nodes: whether it starts nodes of the robot's graph, which others may need.
+        is_for_all_runs: whether runs need what its `before_experiment` sets up on this machine; workers of a cluster
+            lack it.
         name: unique among the plugins of an experiment; names the plugin's raw-data folder.
     """
 
@@ -71,11 +75,15 @@ class Plugin(Bindable):
     bytes_per_run: int = 0
     smoke_parameters: ClassVar[Mapping[str, float]] = MappingProxyType({})
     starts_nodes: bool = False
+    is_for_all_runs: bool = False
 
     def __init__(self, *, name: str | None = None) -> None:
         self.name = type(self).__name__ if name is None else name
         if refused := refused_name(self):
             raise refused
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}(...)"  # without an address, as messages show it
 
     def check(self, circumstances: Circumstances) -> Iterable[Finding]:
         """Return findings on why this plugin cannot be used, without changing anything."""

@@ -106,6 +106,7 @@ class Subject(System):
         self.ready_timeout_s = ready_timeout_s
         self.stop_signal = supervised_program.named_signal(self.name, stop_signal)
         self.grace_s = grace_s
+        self.is_for_all_runs = not self._is_of_run
         self.measures = type(self).measures if self._is_of_run else ()
         self._program: supervised_program.SupervisedProgram | None = None
         self._current: supervised_program.Start | None = None

@@ -90,6 +90,7 @@ class Tune(System):
             fix = "Ask for governor, turbo, cores or drop_caches, or leave the plugin out."
             raise PluginError("nothing is to be set", where=self.name, fix=fix)
         self.scope = scope
+        self.is_for_all_runs = scope == "experiment" and self.wishes != Wishes(drops_caches=True)  # each run drops them
         self.machine = Machine(Path(root), None if state is None else Path(state))
         self._guardian: subprocess.Popen[bytes] | None = None
 
