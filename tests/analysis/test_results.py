@@ -66,6 +66,27 @@ def test_treatments_that_are_one_number_are_told_apart_by_their_texts(tmp_path):
     assert list(runs["Gain"].cat.categories) == ["1", "1.0"]
 
 
+@pytest.mark.parametrize(
+    ("treatments", "was", "rewritten"),
+    [
+        (["0.5", 1e5, None], "0.5", "0.50"),
+        ([0.5, 1e5, None], "100000.0", "1.00E+05"),
+        ([0.5, 1e5, None], "None", ""),
+        (["1.10", "007"], "1.10", "1.1"),
+        (["1.10", "007"], "007", "7.0"),
+    ],
+)
+def test_a_treatment_that_a_spreadsheet_wrote_in_another_way_is_no_other_one(tmp_path, treatments, was, rewritten):
+    folder = make_experiment(tmp_path / "e", [Factor("Gain", treatments)])
+    before = load_results(folder.root).runs["Gain"]
+    table = folder.run_table.read_text("utf-8")
+    folder.run_table.write_text(table.replace(f",{was},1", f",{rewritten},1", 1), encoding="utf-8")
+    assert folder.run_table.read_text("utf-8") != table
+    now = load_results(folder.root).runs["Gain"]
+    assert list(now.cat.categories) == list(before.cat.categories)
+    assert now.tolist() == before.tolist()
+
+
 def test_measures_have_types_and_units(tmp_path):
     measured = {"Energy": 877.5, "Count": 3, "Reached": True, "Note": "a, b"}
     folder = make_experiment(

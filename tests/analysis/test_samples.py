@@ -14,6 +14,7 @@ from tests.analysis.made_experiment import make_experiment, write_phases, write_
 
 from robot_runner.analysis import load_results
 from robot_runner.analysis.samples import GrowingColumn
+from robot_runner.core.design.factor import Factor
 from robot_runner.core.errors import AnalysisError
 from robot_runner.core.storage.journal import Journal
 
@@ -32,6 +33,23 @@ def test_each_sample_knows_its_run_and_its_treatments(folder):
     assert samples["Task"].tolist() == ["Video", "Video", "Video", "Network"]
     assert samples["Task"].cat.ordered
     assert samples["power_W"].tolist() == [7.0, 8.0, 9.5, 6.0]
+
+
+@pytest.mark.parametrize("name", ["phase", "power_W", "time_s"])
+def test_a_factor_that_is_called_as_a_column_of_samples_or_phases_is_kept_beside_it(tmp_path, name):
+    made = make_experiment(tmp_path / "e", [Factor(name, ["low", "high"])], repetitions=1)
+    for run_id in ("r_1", "r_2"):
+        write_samples(made, run_id, "time_s,power_W\n10.0,8.0\n12.0,9.5\n")
+        write_phases(made, run_id, "number,phase,start_s,end_s\n1,drive,10.0,12.5")
+    results = load_results(made.root)
+    samples, aligned = results.samples(), results.aligned_samples({"Meter": "power_W"}, period=1.0).frame
+    assert samples[f"{name} (factor)"].tolist() == ["low", "low", "high", "high"]
+    assert (samples["phase"].tolist(), samples["power_W"].tolist()) == (["drive"] * 4, [8.0, 9.5] * 2)
+    assert results.lazy_samples().reader().schema.names == list(samples.columns)
+    assert aligned.columns.is_unique
+    phases = results.phases()
+    assert phases[f"{name} (factor)" if name == "phase" else name].tolist() == ["low", "high"]
+    assert {path.name for path in results.export(tmp_path / "export")} >= {"phases.parquet", "run_table.parquet"}
 
 
 def test_times_count_from_the_start_of_measurement(folder):

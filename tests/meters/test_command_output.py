@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 from itertools import pairwise
+from typing import TYPE_CHECKING
 
 import pytest
 from hypothesis import given
@@ -9,6 +10,9 @@ from hypothesis import strategies as st
 from robot_runner.core.errors import PluginError
 from robot_runner.meters.command_output import Aggregate, CommandColumn, TimeColumn, TimeKind, parse_csv, row_times
 from robot_runner.plugins import Measure, Window
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
 
 MEASURE = Measure("Value", "W", "A value.")
 
@@ -156,3 +160,19 @@ def test_the_unit_of_times_is_how_many_seconds_it_has_and_not_its_name() -> None
     with pytest.raises(PluginError, match="unit is 'ms'") as refused:
         TimeColumn("t", TimeKind.UTC, "ms")  # type: ignore[arg-type]
     assert "Give unit a number above 0" in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("make", "told"),
+    [
+        (lambda: TimeColumn("t", "SPAN"), "kind is 'SPAN' .* Give kind one of: TimeKind.UTC, TimeKind.SPAN, "),
+        (lambda: TimeColumn(0), "source is 0 .* Give source a str"),
+        (lambda: CommandColumn("W", "Power"), "measure is 'Power' .* Give measure a Measure"),
+        (lambda: CommandColumn("W", Measure("Power", "W"), "mean"), "aggregate is 'mean' .* one of: Aggregate.MEAN, "),
+        (lambda: CommandColumn("W", Measure("Power", "W"), factor="0.001"), "factor is '0.001'"),
+    ],
+    ids=["kind", "heading", "measure", "aggregate", "factor"],
+)
+def test_a_column_that_is_described_by_other_things_is_refused(make: Callable[[], object], told: str) -> None:
+    with pytest.raises(PluginError, match=told):
+        make()

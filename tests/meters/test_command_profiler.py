@@ -436,6 +436,7 @@ def test_the_check_names_the_program_that_is_missing_and_how_to_get_it():
         ({"columns": [COLUMNS[0], COLUMNS[0]]}, "columns yield the measures"),
         ({"period_s": 0.0}, "period_s is 0.0"),
         ({"grace_s": -1.0}, "grace_s is -1.0"),
+        ({"time": "when"}, "time is 'when' .* Give time a TimeColumn"),
     ],
 )
 def test_what_cannot_be_is_refused(settings, problem):

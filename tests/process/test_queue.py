@@ -277,6 +277,20 @@ def test_an_experiment_whose_process_is_killed_twice_is_begun_again_after_a_rest
     assert list(done_runs(tmp_path / "results" / "first").values()) == [1, 1, 1]
 
 
+def test_a_runner_that_is_slower_than_another_tells_no_error(
+    robot_runner: Callable[..., Any], config: Callable[..., Path]
+) -> None:
+    assert robot_runner("queue", "add", config("first", seconds=0)).code == 0
+    with ExperimentQueue().taken(1):  # by another runner, between the look of this one and the start of its process
+        program = [sys.executable, "-m", "robot_runner", "queue", "run", "1"]
+        by_user, of_runner = (
+            subprocess.run(program, env={**os.environ, **more}, capture_output=True, text=True, check=False)
+            for more in ({}, {queueing._BY_RUNNER: "1"})
+        )
+    assert "experiment 1 is being executed" in by_user.stderr
+    assert (of_runner.stdout, of_runner.stderr, of_runner.returncode) == ("", "", 2)
+
+
 def test_an_experiment_for_which_there_is_no_process_at_first_is_begun_again_after_a_rest(
     robot_runner: Callable[..., Any], config: Callable[..., Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Container, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -41,6 +41,9 @@ from robot_runner.analysis.samples import SampleRequest, labels_of, read_samples
 from robot_runner.core.design.columns import RUN_ID, STATUS
 from robot_runner.core.errors import AnalysisError, did_you_mean
 from robot_runner.core.storage.cells import RunStatus
+
+#: The columns of samples besides those that the plugin wrote.
+_OF_SAMPLES = ("time_s", "in_window", "phase", "phase_number")
 
 
 @dataclass(frozen=True)
@@ -95,9 +98,10 @@ class RawData:
         first = phases.groupby("run_id")["start_s"].transform("min")
         start = phases["run_id"].map(self.history.starts).astype("float64").fillna(first)
         phases = phases.assign(start_s=phases["start_s"] - start, end_s=phases["end_s"] - start)
-        joined = phases.merge(self.runs[[RUN_ID, *self.factors]], on=RUN_ID, how="left")
-        own = [name for name in joined.columns if name not in {RUN_ID, *self.factors}]
-        return joined[[RUN_ID, *self.factors, *own]]
+        headings = self._headings(phases.columns)
+        treatments = self.runs[[RUN_ID, *self.factors]].rename(columns=headings)
+        own = [name for name in phases.columns if name != RUN_ID]
+        return phases.merge(treatments, on=RUN_ID, how="left")[[RUN_ID, *headings.values(), *own]]
 
     def request(
         self,
@@ -114,19 +118,24 @@ class RawData:
         table = self.runs.set_index(RUN_ID).loc[run_ids]
         is_done = table[STATUS] == RunStatus.DONE.value
         windows = {**self.history.windows, **noted_windows(kind, run_ids)}
+        wanted = tuple(kind.columns if columns is None else dict.fromkeys(several(columns)))
         return SampleRequest(
             kind,
             run_ids,
-            tuple(kind.columns if columns is None else dict.fromkeys(several(columns))),
+            wanted,
             starts={**self.history.starts, **{run: start for run, (start, _) in windows.items()}},
             windows=windows if with_window else None,
             phases=self.phase_spans if with_phases else None,
-            factors=self._treatments(table) if with_factors else {},
+            factors=self._treatments(table, (*_OF_SAMPLES, *wanted)) if with_factors else {},
             unfinished=frozenset(table.index[~is_done]),
         )
 
-    def _treatments(self, table: pd.DataFrame) -> dict[str, pd.Categorical]:
-        return {name: table[name].array for name in self.factors}
+    def _treatments(self, table: pd.DataFrame, taken: Container[str]) -> dict[str, pd.Categorical]:
+        return {heading: table[name].array for name, heading in self._headings(taken).items()}
+
+    def _headings(self, taken: Container[str]) -> dict[str, str]:
+        """Return the heading of each factor beside columns of these names: another one where a name is taken."""
+        return {name: f"{name} (factor)" if name in taken else name for name in self.factors}
 
     def with_treatments(self, run_ids: Iterable[str], treatments: Mapping[str, object]) -> list[str]:
         """Return the runs with these treatments.
@@ -185,7 +194,7 @@ class RawData:
         frame = pd.concat(pieces, ignore_index=True) if pieces else pd.DataFrame(columns=["time_s", *headings])
         lengths = np.array([len(piece) for piece in pieces], dtype=np.int64)
         table = self.runs.set_index(RUN_ID).loc[[str(piece.attrs["run"]) for piece in pieces]]
-        labels = labels_of(list(table.index), self._treatments(table), lengths)
+        labels = labels_of(list(table.index), self._treatments(table, frame.columns), lengths)
         frame = pd.concat([pd.DataFrame(labels), frame], axis=1)
         told = tuple(source.told(name, frame) for source in sources for name in source.names)
         return AlignedSamples(frame, period, how, told)

@@ -228,7 +228,8 @@ class Results(ExperimentFacts):
         Columns: `run_id` (categorical), the factors (ordered categoricals), `time_s` (s since the start of the
         mission; negative before it), `in_window` (whether it lies in the measured window, which is the mission),
         `phase` (categorical; of simultaneous phases the one that began last) and `phase_number` (0 outside all phases),
-        then the value columns as the plugin wrote them. Where the mission's times are not known, times count from the
+        then the value columns as the plugin wrote them. A factor with the name of another column has ` (factor)` behind
+        it. Where the mission's times are not known, times count from the
         start of measurement, or from the first sample, and all samples count as inside the window.
 
         Args:

@@ -14,9 +14,10 @@ from robot_runner.analysis.wording import labelled
 from robot_runner.core.design.analysis_plan import AnalysisPlan
 from robot_runner.core.design.batch import CONFIRMATION
 from robot_runner.core.design.columns import EXCLUDED, REPETITION, RUN_ID, STATUS
+from robot_runner.core.design.factor import Factor
 from robot_runner.core.errors import AnalysisError, Finding
 from robot_runner.core.events.measure import QUALITY_SUFFIX, Quality, quality_of_value
-from robot_runner.core.storage.cells import RunStatus, typed_value, typed_values
+from robot_runner.core.storage.cells import RunStatus, treatment_position, typed_value, typed_values
 from robot_runner.core.storage.executed_runs import ExcludedRuns, edited_findings, recorded_rows, unrecorded_findings
 from robot_runner.core.storage.lock import holder_of
 from robot_runner.core.storage.table_columns import MARKS, ColumnDescription, ColumnRole
@@ -245,7 +246,7 @@ def _frame(rows: RunTableRows, columns: Sequence[ColumnDescription], manifest: M
 
 def _factor(values: Sequence[Any], kind: str, declared: Sequence[str]) -> pd.Categorical:
     """Return an ordered categorical: first the treatments in the config's order, then others as they occur."""
-    texts = list(map(_text, values))
+    texts = _as_declared(list(map(_text, values)), declared)
     found = dict(zip(texts, values, strict=True))
     order = list(dict.fromkeys([*declared, *(found if declared else _in_order(found.values()))]))
     categories: list[Any] = order
@@ -257,6 +258,23 @@ def _factor(values: Sequence[Any], kind: str, declared: Sequence[str]) -> pd.Cat
     # Without this, pandas turns a treatment 1 beside 0.5 into 1.0, a name that neither table nor hypotheses use.
     kept = object if len(set(map(type, categories))) > 1 else None
     return pd.Categorical(texts, order, ordered=True).rename_categories(pd.Index(categories, dtype=kept))
+
+
+#: More pairs of treatments would take more than seconds to compare, and are no groups of runs any more.
+_MOST_COMPARED = 1_000_000
+
+
+def _as_declared(texts: Sequence[str], declared: Sequence[str]) -> list[str]:
+    """Return the texts of treatments, with those that a spreadsheet wrote in another way as they are in the config."""
+    odd = set(texts).difference(declared) if declared else set()
+    if not 0 < len(odd) * len(declared) <= _MOST_COMPARED:
+        return list(texts)
+    factor, known = Factor("declared", declared), {}
+    for text in odd:
+        # Spreadsheets and pandas leave None empty.
+        place = treatment_position(factor, text or str(None), decimal_comma=True)
+        known[text] = text if place is None else declared[place]
+    return [known.get(text, text) for text in texts]
 
 
 def _text(value: Any) -> str:

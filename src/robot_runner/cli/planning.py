@@ -30,7 +30,7 @@ from robot_runner.core.execution.experiment_history import ExperimentHistory
 from robot_runner.core.execution.probe import probe_window_of, probed_plugins
 from robot_runner.core.execution.recovered_table import lacks_runs
 from robot_runner.core.execution.resumption import table_differences
-from robot_runner.core.execution.table_recovery import is_reordered
+from robot_runner.core.execution.table_deviations import is_reordered
 from robot_runner.core.plugin import Plugin
 from robot_runner.core.storage.executed_runs import moved_in_words, moved_runs
 from robot_runner.core.storage.journal import read_journal

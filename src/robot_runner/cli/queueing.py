@@ -13,6 +13,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Sequence
+from contextlib import ExitStack
 from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
@@ -35,6 +36,8 @@ from robot_runner.core.storage.lock import holder_of
 
 #: Variables that say which robot a config means; an experiment has them as they were when it was added.
 NAMES_A_ROBOT = ("ROS_DOMAIN_ID", "ROS_MASTER_URI", "ROS_NAMESPACE")
+#: Tells the process of an experiment that a runner has begun it, and no user who is to be told that it is executed.
+_BY_RUNNER = "ROBOT_RUNNER_QUEUE_RUNNER"
 #: How often to look whether something can begin, s.
 _LOOK = 0.5
 #: How long to rest before an experiment is begun again whose process was killed, s: at first, and at most.
@@ -90,9 +93,18 @@ def execute_queued(queue: ExperimentQueue, number: int) -> int:
     Raises:
         ExecutionError: there is none of this number, it has ended, or another process executes it.
     """
-    with queue.taken(number):
+    is_of_runner = os.environ.pop(_BY_RUNNER, "") != ""  # which goes on with what is left where another was faster
+    with ExitStack() as held:
+        try:
+            held.enter_context(queue.taken(number))
+        except ExecutionError:
+            if is_of_runner:
+                return REFUSED
+            raise
         queued = queue.read_one(number)
         if queued is None or queued.has_ended:
+            if is_of_runner:
+                return REFUSED
             problem = f"experiment {number} is not in the queue, or has ended"
             raise ExecutionError(problem, where="robot-runner queue", fix="See `robot-runner queue list`.")
         code, problem = _end_of_earlier(queued)
@@ -231,6 +243,8 @@ class QueueRunner:
             self._rest = min(_LONGEST_REST, 2 * self._rest or _REST)
             print(f"the process of {named(queued)} {how}; it is begun again in {self._rest:g} s", flush=True)
             self._sleep(self._rest)
+        elif after is not None:
+            print(f"{named(queued)} of the queue is executed by another process", flush=True)
         return False
 
     def _code_of(self, queued: QueuedExperiment) -> int:
@@ -244,7 +258,7 @@ class QueueRunner:
             [python, "-P", "-m", "robot_runner", "queue", "run", str(queued.number)],
             stdin=subprocess.DEVNULL,
             cwd=queued.started_in if Path(queued.started_in).is_dir() else None,
-            env={**environment, **queued.environment},
+            env={**environment, **queued.environment, _BY_RUNNER: "1"},
             start_new_session=True,
         ) as process:
             self._process = process

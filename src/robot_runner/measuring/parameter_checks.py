@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
+from enum import Enum
 from numbers import Real
 
 from robot_runner.core.errors import Finding, PluginError
@@ -23,6 +24,21 @@ def check_numbers(where: str, *, may_be_zero: bool = False, **parameters: object
         if not 0 <= number < math.inf or (number == 0 and not may_be_zero):
             least = "from 0 up" if may_be_zero else "above 0"
             raise PluginError(f"{name} is {value!r}", where=where, fix=f"Give {name} a number {least}.")
+
+
+def check_kind(where: str, kind: type, /, **parameters: object) -> None:
+    """Refuse parameters that are of another type, such as the name of an enum's member.
+
+    Raises:
+        PluginError: one of the parameters is.
+
+    Example:
+        >>> check_kind("the column 'watts'", str, source="watts")
+    """
+    for name, value in parameters.items():
+        if not isinstance(value, kind):
+            choice = f"one of: {', '.join(map(str, kind))}" if issubclass(kind, Enum) else f"a {kind.__name__}"
+            raise PluginError(f"{name} is {value!r}", where=where, fix=f"Give {name} {choice}.")
 
 
 def check_list(where: str, **parameters: object) -> None:

@@ -21,7 +21,7 @@ from robot_runner.measuring.evaluation import NEVER_STARTED, publish_measures
 from robot_runner.measuring.measured_machine import clock_details, machine_clock
 from robot_runner.measuring.meter_process import Ending, MeterProcess, Record
 from robot_runner.measuring.own_scripts import script_inputs, scripts_in, unread_findings
-from robot_runner.measuring.parameter_checks import check_list, check_numbers
+from robot_runner.measuring.parameter_checks import check_kind, check_list, check_numbers
 from robot_runner.measuring.quality import Column, SampleQuality, quality_of, report_quality, write_samples
 from robot_runner.meters.command_output import (
     Aggregate,
@@ -142,6 +142,7 @@ class CommandProfiler(Profiler):
             fix = f"Give a list: command={command.split()!r}."
             raise PluginError(f"command is {command!r}", where=self.name, fix=fix)
         check_list(self.name, command=command, columns=columns)
+        check_kind(self.name, TimeColumn, **({} if time is None else {"time": time}))
         check_numbers(self.name, period_s=period_s, grace_s=grace_s, startup_s=startup_s)
         self.command = [str(word) for word in command]
         self.columns = tuple(columns)
@@ -391,8 +392,7 @@ class CommandProfiler(Profiler):
         if len(set(names)) < max(len(names), 1):
             wrong.append(f"columns yield the measures {names}")
         if wrong:
-            fix = "Give a command, and columns that yield different measures."
-            raise PluginError(wrong[0], where=self.name, fix=fix)
+            raise PluginError(wrong[0], where=self.name, fix="Give a command, and columns of different measures.")
         has_place = any(_PLACE in word for word in self.command)
         if has_place != bool(self.output):
             problem = f"output is {self.output!r}, and the command has {'' if has_place else 'no '}{_PLACE}"

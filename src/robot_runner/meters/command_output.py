@@ -8,13 +8,14 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
 from itertools import accumulate, groupby, pairwise
+from numbers import Real
 
 from robot_runner.core.errors import PluginError
 from robot_runner.core.events.measure import Measure, Over
 from robot_runner.core.events.window import Window
 from robot_runner.core.words import shown_duration
 from robot_runner.measuring.device_clock import fit_clock
-from robot_runner.measuring.parameter_checks import check_numbers
+from robot_runner.measuring.parameter_checks import check_kind, check_numbers
 from robot_runner.measuring.series import Series, cut, growth, mean_of_intervals
 
 #: The cells of one row by the name of their column, as text or as numbers.
@@ -84,7 +85,7 @@ class TimeColumn:
         unit: of its numbers, s; 0.001 for milliseconds.
 
     Raises:
-        PluginError: the unit is not a number above 0.
+        PluginError: the unit is not a number above 0, or another attribute is of another type.
 
     Example:
         >>> TimeColumn("Time", TimeKind.UTC, unit=0.001).unit
@@ -96,7 +97,10 @@ class TimeColumn:
     unit: float = 1.0
 
     def __post_init__(self) -> None:
-        check_numbers(f"the time column {self.source!r}", unit=self.unit)
+        where = f"the time column {self.source!r}"
+        check_kind(where, str, source=self.source)
+        check_kind(where, TimeKind, kind=self.kind)
+        check_numbers(where, unit=self.unit)
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,6 +113,9 @@ class CommandColumn:
         aggregate: how its rows are reduced to one value.
         factor: each cell is multiplied by it, to get the unit of the measure.
 
+    Raises:
+        PluginError: an attribute is of another type.
+
     Example:
         >>> from robot_runner.plugins import Measure
         >>> energy = Measure("Energy", "J", "Integral of power over the measured window.")
@@ -120,6 +127,13 @@ class CommandColumn:
     measure: Measure
     aggregate: Aggregate = Aggregate.MEAN
     factor: float = 1.0
+
+    def __post_init__(self) -> None:
+        where = f"the column {self.source!r}"
+        check_kind(where, str, source=self.source)
+        check_kind(where, Measure, measure=self.measure)
+        check_kind(where, Aggregate, aggregate=self.aggregate)
+        check_kind(where, Real, factor=self.factor)
 
     @property
     def yields(self) -> Measure:

@@ -291,7 +291,7 @@ class _Explaining:
         yield "Published", "" if self._imported is not None else self._published(column.name)
         if published and _plain(self._row.get(column.name, published["value"])) != _plain(published["value"]):
             yield "Edited", f"the journal has {published['value']!r}: the table was changed by hand since"
-        yield from (("Doubt", doubt) for doubt in self._history.doubts.get(owner, ()) if doubt not in doubts)
+        yield from (("Doubt", doubt) for doubt in self._history.doubts_about(owner, column.name) if doubt not in doubts)
 
     def _owner_facts(self, owner: str, measure: str) -> Iterator[tuple[str, str]]:
         if owner == "import" and self._imported is not None:
@@ -365,7 +365,7 @@ class _Explaining:
     def _read_by(self, factor: str) -> str:
         if self._history.readers is None:  # not executed, or by an earlier version that did not record it
             return ""
-        return ", ".join(self._history.readers.get(factor, ())) or "nobody: no callback and no plugin looked at it"
+        return ", ".join(self._history.readers.get(factor, ())) or "no callback and no plugin looked at it"
 
     def _stamp_facts(self, column: ColumnDescription) -> Iterator[tuple[str, str]]:
         event = column.name.removesuffix("_at")
@@ -375,7 +375,7 @@ class _Explaining:
         else:
             where = "the run's own process" if is_own else "the orchestrator"
             clock_of = (is_own and self._worker) or self._host()
-            yield "Event", f"{event}, emitted in {where}, before anybody was called; UTC of {clock_of}"
+            yield "Event", f"{event}, emitted in {where}, before any callback was called; UTC of {clock_of}"
         clock = self._history.clocks.get(event)
         if clock is not None and is_own:
             simulated = " (simulated time)" if self._reached.startswith("simulated") else ""

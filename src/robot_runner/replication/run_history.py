@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Self
 
-from robot_runner.core.storage.executed_runs import EXCLUSION_KINDS, ExcludedRuns
+from robot_runner.core.events.measure import Origin
+from robot_runner.core.storage.executed_runs import EXCLUSION_KINDS, ExcludedRuns, change_in_words
 from robot_runner.core.storage.journal import read_journal
 from robot_runner.core.words import shown_commit, shown_duration
 
@@ -100,6 +101,11 @@ class RunHistory:
         if record.get("failure"):
             self.failures[self.attempt] = f"{record['status']}: {record['failure']}"
 
+    def doubts_about(self, owner: str, column: str) -> Sequence[str]:
+        """Return what an owner found about the samples of a measure; nothing of a value that a person has entered."""
+        is_entered = self.measures.get(column, {}).get("origin") == Origin.ENTERED.value
+        return () if is_entered else self.doubts.get(owner, ())
+
     @property
     def attempts(self) -> list[tuple[str, str]]:
         """The last attempt, and how each failed or was interrupted: a heading and a text each."""
@@ -144,7 +150,7 @@ class RunHistory:
     def _take_correction(self, record: dict[str, Any]) -> None:
         self.excluded.take(record)
         if record["kind"] == "deviation":
-            told = f"{record['column']} was changed by hand from {record['was']!r} to {record['is']!r}"
+            told = change_in_words(record)
         else:
             told = f"{record['kind']}{f': {reason}' if (reason := record.get('reason')) else ''}"
         self.corrections.append(f"{record['at']}, {told}")

@@ -233,13 +233,15 @@ def test_secrets_are_not_recorded(of_meter: Callable[..., Path], monkeypatch: py
     monkeypatch.setenv("OF_TEST", "rtsp://ada:lovelace@10.0.0.7/stream")
     config = of_meter(
         'wifi_password="swordfish", told=["Bearer " + os.environ["LAB_TOKEN"], {"api_key": "abcdefgh"}]',
-        'url = os.environ["OF_TEST"]',
+        'url = os.environ["OF_TEST"]; of_camera = "rtsp://10.0.0.8/user=ada&password=lovelace&channel=1"',
     )
     start(config)
     text = (config.parent / "results" / "trial" / "manifest.json").read_text("utf-8")
     assert "Meter.wifi_password" in text
     assert not any(secret in text for secret in ("swordfish", "open-sesame", "abcdefgh", "lovelace"))
     assert manifest_of(config)["executions"][0]["given"]["url"] == "rtsp://REDACTED@10.0.0.7/stream"
+    of_camera = manifest_of(config)["executions"][0]["given"]["of_camera"]
+    assert of_camera == "rtsp://10.0.0.8/user=ada&password=REDACTED&channel=1"
 
 
 def test_an_experiment_of_an_older_version_that_recorded_nothing_goes_on(
@@ -259,6 +261,21 @@ def test_what_is_set_from_outside_is_told_once(of_meter: Callable[..., Path]) ->
     start(config, only=("r_1",))
     (finding,) = config_changes(prepare_or_refuse(config, {"grace_in_s": "5"}))
     assert finding.where == "--set grace_in_s"
+
+
+def test_gates_that_are_set_or_left_out_are_told_once_and_not_by_all_of_their_parts(
+    of_meter: Callable[..., Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    gates = 'gates = [Gate(load_below(each), timeout_s=60.0) for each in map(float, os.environ["LOADS"].split())]'
+    monkeypatch.setenv("LOADS", "1000 2000")
+    config = of_meter("", f"from robot_runner import load_below\n{gates}")
+    start(config, only=("r_1",))
+    (finding,) = config_changes(prepare_or_refuse(config, {"gates": "none"}))
+    assert finding.where == "--set gates"
+    monkeypatch.setenv("LOADS", "1000")
+    (finding,) = config_changes(prepare_or_refuse(config))
+    assert finding.where == f"{config}, gates[1]"
+    assert finding.problem.startswith("the value was 'Gate' and is not given")
 
 
 def test_a_replication_is_told_what_the_original_was_given_otherwise_but_for_places_and_what_is_set(

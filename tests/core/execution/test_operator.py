@@ -33,7 +33,7 @@ from robot_runner.core.execution.notices import (
 )
 from robot_runner.core.execution.operator import Operator
 from robot_runner.core.execution.orchestrator import execute_experiment
-from robot_runner.core.execution.resumption import Resumption
+from robot_runner.core.execution.resumption import Resumption, TableChoice
 from robot_runner.core.storage.journal import Journal
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.lock import leave_request, send_continue
@@ -713,6 +713,17 @@ def test_a_step_after_runs_that_has_left_the_config_is_not_promised_to_be_asked_
     restored, person = execute(ENERGY + steps(TRUST, lift), "2\n", Resumption(accept_changes=True))
     assert person.asked == [("fill in the questionnaire", "r_1")]
     assert not any("not done after it" in each.problem for each in read_status(restored.folder).findings)
+
+
+def test_an_answer_after_a_run_leaves_a_value_that_was_corrected_by_hand_since(execute: Callable) -> None:
+    body = ENERGY + steps(TRUST)
+    interrupted, _ = execute(body, lambda _waiting: os.kill(os.getpid(), signal.SIGINT))
+    path = interrupted.folder / "run_table.csv"
+    path.write_text(path.read_text().replace(",1.5", ",2.5", 1))
+    executed, _ = execute(body, "2\n", Resumption(table=TableChoice.FILE))
+    assert [(row["Energy"], row["trust"]) for row in executed.table] == [("2.5", "2"), *[("1.5", "2")] * 3]
+    again, _ = execute(body, "2\n")
+    assert again.table == executed.table
 
 
 def cut_off_after_first_end(executed: Executed) -> None:

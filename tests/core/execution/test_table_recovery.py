@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from tests.conftest import TABLE
 
+from robot_runner.analysis import load_results
 from robot_runner.core.config.preparation import prepare_or_refuse
 from robot_runner.core.errors import ExecutionError, Severity
 from robot_runner.core.execution.experiment_status import read_status
@@ -17,8 +18,10 @@ from robot_runner.core.execution.notices import ExperimentFinished, SilentObserv
 from robot_runner.core.execution.orchestrator import execute_experiment
 from robot_runner.core.execution.recovered_table import Deviation, TableOnDisk
 from robot_runner.core.execution.resumption import Resumption, TableChoice, TableDisagreementError
-from robot_runner.core.execution.table_deviations import ROW, deviation_findings
+from robot_runner.core.execution.table_deviations import deviation_findings
+from robot_runner.core.storage.executed_runs import ROW, changes_in_words
 from robot_runner.core.storage.journal import Journal, read_journal
+from robot_runner.replication.explanation import explain_run
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -246,8 +249,8 @@ def populate_run_data(self, context):
     assert qualities == [
         ("", "missing"),
         ("21", "good"),
-        ("", "missing: it was dark"),
-        ("41", "doubtful: it was dark"),
+        ("", "missing"),
+        ("41", "good"),
     ]
     changes = [(each["column"], each["is"]) for each in executed.journal("deviation")]
     assert [is_now for column, is_now in changes if column == "Energy.quality"] == [how for _, how in qualities]
@@ -281,6 +284,27 @@ def test_a_row_that_was_removed_and_accepted_is_on_record_once(execute: Execute)
     resume(executed, accept_changes=True)
     changes = [(each["run"], each["column"]) for each in executed.journal("deviation")]
     assert changes == [("r_4", "row"), ("r_2", "Energy")]
+
+
+def test_a_factor_called_row_is_no_removed_row(execute: Execute) -> None:
+    executed = execute(COUNTING, table=TABLE.replace('"Task", ["Video", "Network"]', '"row", [1, 2]'))
+    path = executed.folder / "run_table.csv"
+    edited(executed, ",2,1,21", ",1,1,21")
+    (finding,) = resume(executed, table=TableChoice.FILE).findings
+    assert (finding.where, finding.problem) == (f"{path}, run r_2, column 'row'", "the table has '1', the journal '2'")
+    path.unlink()
+    assert "removed" not in str(resume(executed).findings)
+    edited(executed, next(line for line in text_of(path).splitlines(keepends=True) if line.startswith("r_2,")), "")
+    resume(executed, table=TableChoice.FILE)
+    changes = [(each["run"], each["column"], each["is"]) for each in executed.journal("deviation")]
+    assert changes == [("r_2", "row", "1"), ("r_2", "row", "")]
+    told = [finding.problem for finding in read_status(executed.folder).findings]
+    assert told == ["row was changed by hand from '2' to '1'", "its row was removed by hand"]
+    path.unlink()
+    (finding,) = resume(executed).findings
+    assert finding.problem.endswith("with 4 runs that are done; r_2 had been removed by hand")
+    manifest = json.loads(text_of(executed.folder / "manifest.json"))
+    assert changes_in_words(manifest).endswith(": row of r_2 from '2' to '1', the row of r_2, which was removed")
 
 
 def test_a_plan_that_was_changed_is_accepted_once_and_is_no_change_of_the_table(
@@ -382,6 +406,72 @@ def test_what_a_spreadsheet_writes_in_another_way_is_no_change(execute: Execute)
     finished = resume(executed)
     assert text_of(path) == before
     assert (finished.findings, executed.journal("deviation")) == ((), [])
+
+
+def test_a_failed_run_that_is_done_by_hand_stays_so_also_where_a_kill_kept_the_table_from_being_written(
+    execute: Execute,
+) -> None:
+    executed = execute(COUNTING.replace("context.attempt", "context.attempt / (context.run_number != 4)"))
+    journal, table = executed.folder / "journal.jsonl", executed.folder / "run_table.csv"
+    row = text_of(table).splitlines()[4]
+    edited(executed, row, f"{row.replace('Failed', 'Done')}44")
+    by_hand = text_of(table)
+    resume(executed, table=TableChoice.FILE)
+    lines = text_of(journal).splitlines(keepends=True)
+    last = max(place for place, line in enumerate(lines) if "is_amended" in line)
+    journal.write_text("".join(lines[: last + 1]), encoding="utf-8")
+    table.write_text(by_hand, encoding="utf-8")
+    assert (resume(executed).done_count, attempts(executed)) == (4, 4)
+    assert text_of(table) == by_hand
+    assert len(executed.journal("deviation")) == 2
+
+
+@pytest.mark.parametrize("digits", [15, 10], ids=["R and LibreOffice", "Excel"])
+def test_a_number_that_was_rounded_as_the_table_was_saved_is_no_change_and_keeps_its_doubts(
+    execute: Execute, digits: int
+) -> None:
+    executed = execute(DOUBTED.replace("20 + context.run_number", "20 + context.run_number / 3"))
+    path = executed.folder / "run_table.csv"
+    before = text_of(path)
+    values = [repr(20 + number / 3) for number in range(1, 5)]
+    for value in values:
+        edited(executed, value, f"{float(value):.{digits}g}")
+    assert text_of(path) != before
+    assert load_results(executed.folder).findings == ()
+    resume(executed)
+    assert text_of(path) == before
+    for value in values[1:]:
+        edited(executed, value, f"{float(value):.{digits}g}")
+    edited(executed, values[0], "25.5")  # and one was corrected
+    resume(executed, table=TableChoice.FILE)
+    assert [row["Energy"] for row in executed.table] == ["25.5", *values[1:]]
+    assert [each["run"] for each in executed.journal("deviation") if each["column"] == "Energy"] == ["r_1"]
+    assert list(load_results(executed.folder).quality["quality"]) == ["good", "doubtful", "doubtful", "good"]
+
+
+def test_a_missing_text_that_another_program_wrote_as_na_is_no_change(execute: Execute) -> None:
+    executed = execute(
+        "run_process = RunProcess.IN_PROCESS\n"
+        "def populate_run_data(self, context): return {'Energy': 'full' if context.run_number > 1 else None}"
+    )
+    before = text_of(executed.folder / "run_table.csv")
+    edited(executed, "Video,1,\n", "Video,1,NA\n")
+    resume(executed)
+    assert (text_of(executed.folder / "run_table.csv"), executed.journal("deviation")) == (before, [])
+
+
+def test_a_text_in_a_column_of_numbers_is_refused_also_where_the_file_counts(execute: Execute) -> None:
+    executed = execute(COUNTING)
+    edited(executed, "Video,1,11", "Video,1,eleven")
+    with pytest.raises(ExecutionError) as refused:
+        resume(executed, table=TableChoice.FILE)
+    (finding,) = refused.value.findings
+    assert finding.where.endswith("run_table.csv, run r_1, column 'Energy'")
+    assert finding.problem == "'eleven' is not an integer, as the column's other values"
+    assert executed.journal("deviation") == []
+    edited(executed, "Video,1,eleven", "Video,1,NaN")
+    resume(executed, table=TableChoice.FILE)
+    assert executed.table[0]["Energy"] == ""
 
 
 def test_where_one_cause_changed_many_cells_it_is_told_once(execute: Execute) -> None:
@@ -521,7 +611,8 @@ def test_a_killed_run_whose_row_counts_as_changed_by_hand_is_not_executed_again_
     for asked in ({"table": TableChoice.FILE}, {}):
         assert resume(executed, **asked).done_count == 4
         assert "Video,1,7.5\n" in text_of(executed.folder / "run_table.csv")
-    assert [record["attempt"] for record in executed.journal("attempt_finished") if record["run"] == "r_1"] == [1]
+    ends = [record for record in executed.journal("attempt_finished") if record["run"] == "r_1"]
+    assert [(record["attempt"], record.get("is_amended", False)) for record in ends] == [(1, False), (1, True)]
 
 
 @pytest.mark.parametrize("lines", [None, 1, "r_2"], ids=["missing", "its first line alone", "to the end of r_2"])
@@ -571,3 +662,70 @@ def test_runs_that_are_done_in_a_table_written_by_hand_are_no_fault(execute: Exe
     (executed.folder / "journal.jsonl").unlink()
     with pytest.raises(TableDisagreementError, match=r"1 run is done .* \(r_2\): it is missing"):
         resume(executed)
+
+
+DOUBTED = """
+run_process = RunProcess.IN_PROCESS
+quality_columns = True
+
+def populate_run_data(self, context):
+    if context.run_number < 4: context.doubt("a loose wire", measures=["Energy"])
+    return {"Energy": 20 + context.run_number}
+"""
+
+
+def test_a_value_of_a_table_written_by_hand_that_is_not_plausible_is_doubtful(
+    execute: Execute, write_config: Any
+) -> None:
+    table = TABLE.replace('"Energy"', 'Measure("Energy", "J", "Energy drawn.", low=0.0)')
+    path = write_config(COUNTING, table=table).parent / "results" / "trial" / "run_table.csv"
+    path.parent.mkdir(parents=True)
+    path.write_text("Task,Repetition,status,Energy\nNetwork,1,Done,-5\nVideo,1,Done,5\nVideo,2,-,\n", encoding="utf-8")
+    executed = execute(COUNTING, table=table)
+    below = "the value, -5 J, is below 0 J, the least that is plausible"
+    for lost in ("", "run_table.schema.json"):
+        if lost:
+            (executed.folder / lost).unlink()
+            resume(executed)
+        assert list(load_results(executed.folder).quality["reasons"]) == [below, "", ""]
+    resume(executed, redo=("r_1",))
+    assert list(load_results(executed.folder).quality["reasons"]) == ["", "", ""]
+
+
+def test_a_value_corrected_by_hand_has_the_doubts_about_itself_and_not_those_about_the_earlier_one(
+    execute: Execute,
+) -> None:
+    energy = 'Measure("Energy", "J", "Energy drawn.", low=0.0, high=100.0)'
+    executed = execute(DOUBTED, table=TABLE.replace('"Energy"', energy))
+    for was, is_now in (
+        ("Video,1,21", "Video,1,31"),
+        ("Network,1,22", "Network,1,-32"),
+        ("Network,2,24", "Network,2,"),
+    ):
+        edited(executed, was, is_now)
+    resume(executed, table=TableChoice.FILE)
+    below = "the value, -32 J, is below 0 J, the least that is plausible"
+    told = [
+        ("31", "good"),
+        ("-32", f"doubtful: {below}"),
+        ("23", "doubtful: a loose wire"),
+        ("", "missing"),
+    ]
+    ends = {each["run"]: each["measures"]["Energy"] for each in executed.journal("attempt_finished")}
+    assert ends["r_1"] == {"value": 31, "owner": "config", "origin": "entered by hand"}
+    assert ends["r_2"] == {"value": -32, "owner": "config", "origin": "entered by hand", "doubts": [below]}
+    assert ends["r_4"] == {"value": None, "owner": "config", "origin": "measured"}
+    for lost in ("", "run_table.schema.json", "run_table.csv"):
+        if lost:
+            (executed.folder / lost).unlink()
+        resume(executed)
+        assert [(row["Energy"], row["Energy.quality"]) for row in executed.table] == told
+        results = load_results(executed.folder)
+        quality = results.quality
+        assert results.columns["Energy"].origin == "measured", "the others were"
+        assert list(quality["quality"]) == ["good", "doubtful", "doubtful", "missing"]
+        assert list(quality["reasons"]) == ["", below, "a loose wire", ""]
+        assert read_status(executed.folder).bad_values["Energy"] == {"doubtful": ["r_2", "r_3"], "missing": ["r_4"]}
+    assert [each["was"] for each in executed.journal("deviation") if each["column"] == "Energy"] == ["21", "22", "24"]
+    explained = dict(explain_run(executed.folder, "r_1", ["Energy"]).values[0].facts)
+    assert (explained["Origin"], explained["Quality"], explained.get("Doubt")) == ("entered by hand", "good", None)

@@ -17,6 +17,7 @@ from robot_runner.core.storage.cells import (
     are_stamps,
     checked_measure,
     csv_text,
+    is_same_number,
     measure_text,
     number_of,
     plain_value,
@@ -90,6 +91,8 @@ def test_columns_of_plain_numbers_keep_their_types(cells: list[str]) -> None:
         ("", "number", None),
         ("", "string", None),
         ("TRUE", "boolean", True),
+        ("WAHR", "boolean", True),
+        ("WAHR", "any", "WAHR"),
         (" false ", "boolean", False),
         ("yes", "boolean", "yes"),
         ("+5", "number", 5),
@@ -140,6 +143,14 @@ def test_a_decimal_comma_counts_only_where_cells_are_split_by_semicolons() -> No
         ([float("nan"), 1], "NaN", 0),
         (["", "a"], "", 0),
         (["a"], "", None),
+        ([True, False], "ONWAAR", 1),
+        (["wahr", True], "WAHR", 0),
+        (["True", "False"], "WAHR", None),
+        (["1.10", "007"], "1.1", 0),
+        (["1.10", "007"], "7", 1),
+        (["1E5", "1-2"], "1.00E+05", 0),
+        (["1.10", "1.1"], "1.100", None),
+        (["007", 7], "7", 1),
     ],
 )
 def test_a_treatment_is_recognised_exactly_first_and_then_leniently(
@@ -189,3 +200,35 @@ def test_what_the_run_table_cannot_hold_is_refused(value: object, problem: str) 
 )
 def test_time_stamps_are_told_from_other_text(stamps: list[str], verdict: bool) -> None:
     assert are_stamps(stamps) is verdict
+
+
+@pytest.mark.parametrize(
+    ("value", "found"),
+    [
+        (11, 11.0),
+        (20.833333333333332, 20.8333333333333),  # R, LibreOffice
+        (20.833333333333332, 20.83333333),  # Excel
+        (1.2345678e-06, 1.23457e-06),
+        (9007199254740993, 9007199254740992),  # a double
+        (9007199254740993, 9.0072e15),
+        (-20.833333333333332, -20.83333333),
+    ],
+)
+def test_a_number_that_a_program_rounded_as_it_saved_the_table_is_the_same(value: float, found: float) -> None:
+    assert is_same_number(value, found)
+
+
+@pytest.mark.parametrize(
+    ("value", "found"),
+    [
+        (20.833333333333332, 20.8333),
+        (21.5, 21.6),
+        (1769860800.25, 1769860801.25),  # a moment, s: a second makes 6e-10 of it
+        (0.123456789, 0.123457),
+        (1, True),
+        (1, "1"),
+        (None, 0),
+    ],
+)
+def test_a_number_that_somebody_rounded_or_corrected_is_another(value: object, found: object) -> None:
+    assert not is_same_number(value, found)

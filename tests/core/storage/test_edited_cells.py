@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -56,6 +57,7 @@ def problems(folder: Path, old: str = "", new: str = "", *, is_known: bool = Tru
     ("old", "new", "told"),
     [
         ("r_1,Done,0.1", "r_1,Done,10", "Speed of r_1 is '10', and was '0.1'"),
+        ("r_1,Done,0.1", "r_1,Done,slow", "Speed of r_1 is 'slow', and was '0.1'"),
         ("0.1,1,11.0", "0.1,2,11.0", "Repetition of r_1 is '2', and was '1'"),
         ("21.5", "21.6", "Energy of r_2 is '21.6', and was '21.5'"),
         ("21.5", "", "Energy of r_2 is empty, and was '21.5'"),
@@ -67,9 +69,29 @@ def test_a_label_and_a_value_that_were_changed_are_named(tmp_path: Path, old: st
     assert problems(tmp_path, old, new) == [told]
 
 
-@pytest.mark.parametrize(("old", "new"), [("11.0", "11"), ("r_4,-,10", "r_4,-,0.1"), ("Done,10,1", "Done,10.0,1")])
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [("11.0", "11"), ("r_4,-,10", "r_4,-,0.1"), ("Done,10,1", "Done,10.0,1"), ("Done,0.1,1", 'Done,"0,10",1')],
+)
 def test_other_digits_and_runs_that_are_to_do_are_not(tmp_path: Path, old: str, new: str) -> None:
     assert problems(tmp_path, old, new) == []
+
+
+def test_a_text_that_reads_as_another_treatment_or_lost_its_zeros_is_named(tmp_path: Path) -> None:
+    model = RunTableModel([Factor("Version", ["1.1", "1.10"])], data_columns=["Serial"])
+    table = tmp_path / "run_table.csv"
+    with Journal(tmp_path / "journal.jsonl") as journal:
+        for run, version in (("r_1", "1.1"), ("r_2", "1.10")):
+            journal.append("attempt_started", run=run, attempt=1, combination={"Version": version})
+            measures = {"Serial": {"value": "007", "owner": "config", "origin": "measured"}}
+            journal.append("attempt_finished", run=run, attempt=1, status="done", **{**ENDED, "measures": measures})
+    layout = replace(TableLayout.of_model(model, ["Serial"]), types={"Version": "string", "Serial": "string"})
+    table.write_text("run_id,status,Version,Serial\nr_1,Done,1.1,007\nr_2,Done,1.1,7\n", encoding="utf-8")  # as by R
+    (found,) = edited_findings(tmp_path / "journal.jsonl", table, read_run_table(table, layout, model.plan()))
+    assert found.problem.endswith(": Version of r_2 is '1.1', and was '1.10', Serial of r_2 is '7', and was '007'")
+    table.write_text("run_id,status,Version,Serial\nr_1,Done,1.100,007\nr_2,Done,1.10,007\n", encoding="utf-8")
+    (found,) = edited_findings(tmp_path / "journal.jsonl", table, read_run_table(table, layout))
+    assert found.problem.endswith(": Version of r_1 is '1.100', and was '1.1'")
 
 
 def test_a_file_that_is_as_it_was_written_is_not_compared(tmp_path: Path) -> None:

@@ -130,6 +130,16 @@ def test_a_value_that_is_no_treatment_is_kept_with_a_warning(tmp_path: Path) -> 
     ]
 
 
+@pytest.mark.parametrize("missing", ["NA", "NaN", "nan"], ids=["R", "pandas", "numpy"])
+def test_what_other_programs_write_for_a_missing_number_or_time_stamp_is_missing(tmp_path: Path, missing: str) -> None:
+    types = {"Energy": "number", "Lost": "boolean", "Room": "string"}
+    layout = TableLayout((FactorColumn("Task", TASK),), ("Energy", "Lost", "Room"), types=types)
+    text = "Task,start_run_at,Energy,Lost,Room\nVideo,2026-01-31T12:00:00.250Z,5.5,TRUE,lab\n"
+    rows = read(tmp_path, f"{text}Video,{missing},{missing},{missing},{missing}\n", layout)
+    assert [rows.row(1)[name] for name in ("start_run_at", "Energy", "Lost", "Room")] == [None, None, None, missing]
+    assert warnings_of(rows, tmp_path) == []
+
+
 def test_a_measure_or_time_stamp_of_another_kind_is_kept_with_a_warning(tmp_path: Path) -> None:
     layout = TableLayout(
         (FactorColumn("Task", TASK),), ("Energy", "Lost"), types={"Energy": "number", "Lost": "boolean"}

@@ -18,7 +18,7 @@ from robot_runner.core.execution.durations import TimeLeft
 from robot_runner.core.execution.places import InFlight
 from robot_runner.core.execution.step_history import StepHistory
 from robot_runner.core.storage.cells import ENDS, RunStatus
-from robot_runner.core.storage.executed_runs import EXCLUSION_KINDS, ExcludedRuns
+from robot_runner.core.storage.executed_runs import EXCLUSION_KINDS, ExcludedRuns, change_in_words
 from robot_runner.core.storage.journal import read_journal, seconds_of
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.run_table_reading import read_described_table
@@ -316,8 +316,7 @@ class ExperimentHistory:
 
     def _take_deviation(self, record: Mapping[str, Any]) -> None:
         if record["run"]:
-            problem = f"{record['column']} was changed by hand from {record['was']!r} to {record['is']!r}"
-            self.findings.append(Finding.warning(record["run"], problem))
+            self.findings.append(Finding.warning(record["run"], change_in_words(record)))
         else:
             self.findings.append(Finding.warning("run_table.csv", "the rows were put into another order by hand"))
 

@@ -31,7 +31,12 @@ from robot_runner.core.config.parameters import PARAMETERS
 from robot_runner.core.config.preparation import prepare
 from robot_runner.core.errors import RobotRunnerError
 from robot_runner.core.events.condition import Condition
-from robot_runner.core.secret_names import REDACTED, is_secret_name, without_environment_secrets
+from robot_runner.core.secret_names import (
+    REDACTED,
+    is_secret_name,
+    without_environment_secrets,
+    without_secret_settings,
+)
 from robot_runner.core.storage.layout import home_folder
 from robot_runner.core.storage.manifest import last_execution
 from robot_runner.core.treatments import CONFIG_MODULE, Bindable, Treatment, given_to
@@ -211,7 +216,7 @@ class _Words:
             text = short if text == folder else text.replace(f"{folder}/", f"{short}/")
         if self._passing.search(text) or _ADDRESS.search(text):
             return LEFT_OUT
-        text = _LOGIN.sub(REDACTED, without_environment_secrets(text))
+        text = without_secret_settings(_LOGIN.sub(REDACTED, without_environment_secrets(text)))
         return text if len(text) <= _LONGEST else _digest(text)
 
 
@@ -293,7 +298,7 @@ def given_elsewhere(experiment: Experiment, original: Mapping[str, Any], setting
         texts = [str(pair.get(each, "not given")) for each in ("was", "is")]
         is_hidden = any(REDACTED in text or "~" in text for text in texts)
         lies_elsewhere = all("/" in text for text in texts) and len({PurePath(text).name for text in texts}) == 1
-        if name not in settings and not is_hidden and not lies_elsewhere:
+        if not is_part_of(name, settings) and not is_hidden and not lies_elsewhere:
             told.append(f"{name} ({texts[0]}, here {texts[1]})")
     return told
 
@@ -329,11 +334,20 @@ def _changed_since(
 
 
 def _differing(before: Mapping[str, Any], now: Mapping[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:
+    whole: tuple[str, ...] = ()  # what came or went as a whole: its parts are not told as well
     for name in dict.fromkeys([*now, *before]):
+        if name.startswith(whole):
+            continue
         pair = {which: given[name] for which, given in (("was", before), ("is", now)) if name in given}
         is_left_out = bool({LEFT_OUT, REDACTED}.intersection(map(str, pair.values())))
         if not is_left_out and (len(pair) == 1 or pair["was"] != pair["is"]):
+            whole += (f"{name}.", f"{name}[") if len(pair) == 1 else ()
             yield name, pair
+
+
+def is_part_of(name: str, settings: Collection[str]) -> bool:
+    """Return whether a value is, or is a part of, one of the static parameters that were set from outside."""
+    return name in settings or _PLACE.split(name)[0] in settings
 
 
 def is_reordered(pair: Mapping[str, Any]) -> bool:

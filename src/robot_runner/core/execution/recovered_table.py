@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import time
 from collections import Counter, defaultdict
-from collections.abc import Container, Iterable, Iterator, Mapping
+from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from itertools import chain
@@ -16,9 +16,15 @@ from typing import Any
 from robot_runner.core.config.experiment import Experiment
 from robot_runner.core.design.run_table_model import RunTable
 from robot_runner.core.errors import Finding, StorageError
-from robot_runner.core.events.measure import QUALITY_SUFFIX, quality_text
+from robot_runner.core.events.measure import Origin
 from robot_runner.core.execution.task import RunOutcome
-from robot_runner.core.storage.executed_runs import ACCEPTED_PLAN, DONE_BEFORE, EXCLUSION_KINDS, ExcludedRuns
+from robot_runner.core.storage.executed_runs import (
+    ACCEPTED_PLAN,
+    DONE_BEFORE,
+    EXCLUSION_KINDS,
+    ExcludedRuns,
+    done_before,
+)
 from robot_runner.core.storage.journal import Journal, journal_lines, parsed_record, utc_now
 from robot_runner.core.storage.layout import put_attempt_back, runs_put_away
 from robot_runner.core.storage.run_table_rows import RunTableRows, write_run_table
@@ -38,6 +44,8 @@ _FINDING = b'{"kind":"finding"'
 _KINDS = EXCLUSION_KINDS | {"experiment_started", "attempt_started", "attempt_finished", "table_written", "finding"}
 # Quotes inside a text are escaped: these stand nowhere else.
 _IS_DONE, _IS_INTERRUPTED, _HAS_DOUBTS = b'"status":"done"', b'"status":"interrupted"', b'"doubts":['
+IS_AMENDED = b'"is_amended":true'
+_ENTERED = Origin.ENTERED.value
 
 
 @dataclass(slots=True)
@@ -180,6 +188,7 @@ class RecoveredTable:
         findings: what looked odd in the file.
         is_on_disk: whether the file holds all this, and has a schema, so that neither need be written.
         deviations: what was changed by hand since the last execution.
+        amended: the ends of the attempts whose measures were changed, as they count from now on.
         accepted_plan: the digest of a plan from which the table differs, as the user has accepted now; else empty.
         done_before: the runs that were done before the first execution; None where this is not the first one.
         former: the columns of the file that hold a measure of earlier executions, for which there is none any more.
@@ -193,6 +202,7 @@ class RecoveredTable:
     findings: tuple[Finding, ...] = ()
     is_on_disk: bool = False
     deviations: tuple[Deviation, ...] = ()
+    amended: Sequence[Mapping[str, Any]] = ()
     accepted_plan: str = ""
     done_before: list[str] | None = None
     former: tuple[ColumnDescription, ...] = ()
@@ -234,6 +244,14 @@ class RecoveredTable:
             if doubts := measure.get("doubts"):
                 self.reasons[name][record["run"]] = tuple(doubts)
 
+    def doubt_implausible(self, manifest: Mapping[str, Any], attempted: Iterable[str]) -> None:
+        """Remember which values are not plausible of the runs that a user's own table had as done."""
+        runs = done_before(manifest, attempted).union(self.done_before or ())
+        rows = [(run_id, self.rows.row(place)) for run_id in runs if (place := self.rows.place_of(run_id)) is not None]
+        for column in self.experiment.columns.in_table:
+            told = ((run_id, column.measure.implausible(row[column.name])) for run_id, row in rows)
+            self.reasons[column.name].update({run_id: (why,) for run_id, why in told if why})
+
     def changed_units(self, schema: Iterable[ColumnDescription], path: Path) -> Iterator[Finding]:
         """Yield an error for each column whose unit differs from that in which its values were taken.
 
@@ -265,23 +283,8 @@ class RecoveredTable:
             if self.rows.has_ended(run_id) and put_attempt_back(folder, run_id, self.attempts[run_id]):
                 yield run_id
 
-    def requalified(self, changed: Iterable[Deviation]) -> list[Deviation]:
-        """Have the quality columns follow values that were emptied or filled in by hand; return what that changed."""
-        found, by_hand = [], {(each.run, each.column): each for each in changed}
-        for (run_id, name), each in by_hand.items():
-            column, place = f"{name}{QUALITY_SUFFIX}", self.rows.place_of(run_id)
-            if column not in self.rows.layout.measures or place is None or (run_id, column) in by_hand:
-                continue
-            if bool(each.was) is not bool(each.is_now):
-                was = str(self.rows.row(place)[column] or "")
-                reason = was.partition(": ")[2]
-                is_now = quality_text(each.is_now or None, [reason] if reason else [])
-                self.rows.record(run_id, measures={column: is_now})
-                found.append(Deviation(run_id, column, was, is_now))
-        return found
-
     def keep_deviations(self, journal: Journal, manifest: dict[str, Any]) -> None:
-        """Record changes by hand: in the journal, and for readers of the manifest."""
+        """Record changes by hand, and the ends of attempts as they are then: in the journal, and in the manifest."""
         if self.done_before:
             manifest["design"][DONE_BEFORE] = self.done_before
         if self.accepted_plan:
@@ -292,6 +295,8 @@ class RecoveredTable:
             manifest.setdefault("table_deviations", []).append({"at": utc_now(), **fields})
             if not each.run:
                 manifest["design"]["is_reordered"] = True
+        for end in self.amended:
+            journal.append("attempt_finished", flush=True, **end)
 
     def write_schema(self, path: Path) -> None:
         """Write the run table's schema as far as it is known."""
@@ -305,7 +310,8 @@ class RecoveredTable:
                 description=column.measure.description,
                 unit=column.measure.unit,
                 owner=column.owner,
-                origin=", ".join(sorted(self.origins[column.name])) or None,
+                # A few cells that were corrected by hand are told as such: the others were not entered by a person.
+                origin=", ".join(sorted(self.origins[column.name] - {_ENTERED} or self.origins[column.name])) or None,
                 findings=tuple(sorted(self.doubts[column.owner])),
                 doubts=MappingProxyType(dict(self.reasons[column.name])),
             )

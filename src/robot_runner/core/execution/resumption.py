@@ -25,7 +25,7 @@ from robot_runner.core.design.run_table_model import RunTable
 from robot_runner.core.design.selection import Chosen, RunChooser
 from robot_runner.core.design.warm_up import WarmUp, with_warm_ups_again
 from robot_runner.core.errors import ExecutionError, Finding, StorageError
-from robot_runner.core.execution.given_values import changed_values, is_reordered
+from robot_runner.core.execution.given_values import changed_values, is_part_of, is_reordered
 from robot_runner.core.secret_names import is_same_setting, shown_settings
 from robot_runner.core.storage.cells import RunStatus
 from robot_runner.core.storage.guarded_files import read_bytes
@@ -356,7 +356,7 @@ def _changed_values(
     A list that was made of a set has another order in each process: that is a warning elsewhere (`change_findings`).
     """
     for name, pair in changed_values(experiment, manifest).items():
-        if name not in settings and not is_reordered(pair):
+        if not is_part_of(name, settings) and not is_reordered(pair):
             was, is_now = (repr(pair[each]) if each in pair else "not given" for each in ("was", "is"))
             where = f"{experiment.config_path}, {name}"
             yield Finding.error(where, f"the value was {was} and is {is_now}{why}", _CONFIG_FIX)

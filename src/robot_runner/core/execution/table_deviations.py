@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Container, Iterator, Mapping, Sequence
+from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -12,15 +12,17 @@ from robot_runner.core.design.columns import EXCLUDED, REPETITION, RUN_ID
 from robot_runner.core.design.factor import texts_of
 from robot_runner.core.design.planned_runs import PlannedRun
 from robot_runner.core.errors import Finding, Severity
+from robot_runner.core.events.measure import MeasureColumns, Origin, quality_text
 from robot_runner.core.execution.recovered_table import Deviation
-from robot_runner.core.storage.cells import ENDS, RunStatus, csv_text, measure_text
-from robot_runner.core.storage.executed_runs import ExcludedRuns
+from robot_runner.core.storage.cells import ENDS, CellValue, RunStatus, csv_text, is_same_number, measure_text
+from robot_runner.core.storage.executed_runs import ROW, ExcludedRuns
 from robot_runner.core.storage.run_table_reading import run_table_in
 from robot_runner.core.storage.run_table_rows import RunTableRows
+from robot_runner.core.storage.table_decoders import MISSING, TYPE_WORDS
 from robot_runner.core.words import counted, enumerated, listed
 
-#: The `column` of a deviation that is a removed row, or a changed order of rows.
-ROW, ORDER = "row", "order"
+#: The `column` of a deviation that is a changed order of rows.
+ORDER = "order"
 
 
 def cell_deviations(
@@ -28,7 +30,8 @@ def cell_deviations(
 ) -> Iterator[Deviation]:
     """Yield each cell of a run's row that differs from its last attempt and from the changes recorded since.
 
-    The same number in other digits (`11.0` for 11, as pandas writes beside a missing value) is put back in `rows`.
+    The same number in other digits (`11.0` for 11, as pandas writes beside a missing value), or in fewer, as R and
+    spreadsheets write, and `NA` for nothing are put back in `rows`.
 
     Args:
         rows: the table as it is on disk.
@@ -40,7 +43,7 @@ def cell_deviations(
         return
     place = rows.place_of(run_id)
     if place is None:
-        if changed.get((run_id, ROW)) is None:
+        if changed.get((run_id, ROW)) != "":
             yield Deviation(run_id, ROW, record["status"], "")
         return
     row = rows.row(place)
@@ -49,7 +52,7 @@ def cell_deviations(
         if is_now == was:
             continue
         value = record["measures"].get(name, {}).get("value")
-        if was == text and {type(row[name]), type(value)} <= {int, float} and row[name] == value:
+        if was == text and (is_same_number(value, row[name]) or (not was and is_now in MISSING)):
             rows.record(run_id, measures={name: value})
         else:
             yield Deviation(run_id, name, was, is_now)
@@ -135,9 +138,9 @@ def with_changes(
     cells = {
         (place, columns[name]): text
         for (run_id, name), text in changed.items()
-        if name in columns and (place := rows.place_of(run_id)) is not None
+        if name in columns and (text or name != ROW) and (place := rows.place_of(run_id)) is not None
     }
-    removed = [run_id for run_id, name in changed if name == ROW]
+    removed = [run_id for (run_id, name), text in changed.items() if name == ROW and not text]
     told = f"; {enumerated(removed)} had been removed by hand" if removed else ""
     if not cells:
         return rows, told
@@ -149,12 +152,91 @@ def with_changes(
     return changed_rows, f", and {counted(len(cells), 'cell')} as they were changed by hand{told}"
 
 
+def unfit_values(path: Path, rows: RunTableRows, found: Iterable[Deviation]) -> Iterator[Finding]:
+    """Yield an error for each changed measure whose column has numbers or truth values, and that has become a text."""
+    fix = "Correct the cell, or leave it empty where there is no value."
+    measured = (each for each in found if each.column in rows.layout.measures)
+    for each in measured:
+        kind, place = rows.layout.types.get(each.column), rows.place_of(each.run)
+        if kind in TYPE_WORDS and place is not None and isinstance(rows.row(place)[each.column], str):
+            problem = f"{each.is_now!r} is not {TYPE_WORDS[kind]}, as the column's other values"
+            yield Finding.error(f"{path}, run {each.run}, column {each.column!r}", problem, fix)
+
+
+def amended_ends(
+    rows: RunTableRows, columns: MeasureColumns, ends: Iterable[Mapping[str, Any]], found: Sequence[Deviation]
+) -> tuple[list[dict[str, Any]], list[Deviation]]:
+    """Return the ends of attempts with the measures that were changed by hand, and changed cells of quality columns.
+
+    A new value has the doubts for which it gives reason itself, and none of those about the earlier one.
+
+    Args:
+        rows: the table as it is on disk; its quality columns are made to follow the values.
+        columns: the measures of the run table, with their plausible values.
+        ends: the records of the last ends of attempts.
+        found: the cells that were changed.
+    """
+    changed: dict[str, list[str]] = {}
+    for each in found:
+        if each.column in rows.layout.measures:
+            changed.setdefault(each.run, []).append(each.column)
+    amended, followed = [], list[Deviation]()
+    for end in ends:
+        run_id, place = end["run"], rows.place_of(end["run"])
+        names, status = changed.get(run_id), None if place is None else _ENDED.get(rows.status(place))
+        if not names or place is None or status is None:  # a run that is to do has no values that count
+            continue
+        row = rows.row(place)
+        measures = end["measures"] | {name: _by_hand(name, row[name], end["measures"], columns) for name in names}
+        for column in columns.in_table:
+            if column.tells_of in names and column.name not in names:
+                told = measures[column.tells_of]
+                is_now = quality_text(told["value"], told.get("doubts", ()))
+                measures[column.name] = {"value": is_now, "owner": column.owner, "origin": Origin.MEASURED.value}
+                rows.record(run_id, measures={column.name: is_now})
+                if (was := _text(row[column.name])) != is_now:
+                    followed.append(Deviation(run_id, column.name, was, is_now))
+        doubts = {name: why for name, why in end.get("doubts", {}).items() if name not in names}
+        kept = {name: fact for name, fact in end.items() if name not in _OF_RECORD}
+        kept |= {"status": status, "failure": end["failure"] if status == end["status"] else None}
+        amended.append({**kept, "measures": measures, **({"doubts": doubts} if doubts else {}), "is_amended": True})
+    return amended, followed
+
+
+def _by_hand(name: str, value: CellValue, told: Mapping[str, Any], columns: MeasureColumns) -> dict[str, Any]:
+    """Return the facts on a value that somebody wrote into the table: `told` has those on the earlier ones."""
+    earlier = told.get(name, {})
+    column = next((each for each in columns.in_table if each.name == name), None)
+    implausible = column.measure.implausible(value) if column else ""
+    return {
+        "value": value,
+        "owner": earlier.get("owner") or (column.owner if column else ""),
+        "origin": Origin.ENTERED.value if value is not None else earlier.get("origin", Origin.MEASURED.value),
+        **({"doubts": [implausible]} if implausible else {}),
+    }
+
+
+_ENDED = {status: word for word, status in ENDS.items()}
+#: What an amended end has anew, or, as any, does not repeat.
+_OF_RECORD = {"kind", "at", "doubts", "left", "to_ask"}
+
+
 def changed_exclusions(rows: RunTableRows, excluded: ExcludedRuns) -> Iterator[Deviation]:
     """Yield each run whose exclusion differs between table and journal."""
     for run_id, found in zip(rows.values(RUN_ID), rows.values(EXCLUDED), strict=True) if excluded.were_any else ():
         reason = excluded.reason(run_id)
         if reason != found:
             yield Deviation(run_id, EXCLUDED, reason or "", found or "")
+
+
+def is_reordered(plan: Sequence[PlannedRun], rows: RunTableRows) -> bool:
+    """Return whether the runs that plan and table have in common are in different orders."""
+    planned = [run.run_id for run in plan]
+    there = [run.run_id for run in rows.planned]
+    if planned == there:
+        return False
+    both = set(planned) & set(there)
+    return [each for each in planned if each in both] != [each for each in there if each in both]
 
 
 def _text(cell: Any) -> str:
@@ -174,7 +256,7 @@ def deviation_findings(path: Path, found: Sequence[Deviation], severity: Severit
     for column, members in columns.items():
         if len(members) <= _MOST_CELLS:
             yield from (Finding(severity, *_place_and_problem(path, each), fix) for each in members)
-        elif column == ROW:
+        elif column == ROW and not members[0].is_now:
             lost = listed([each.run for each in members], _SHOWN_CELLS)
             problem = f"{len(members):,} runs were executed, and the table has no such runs any more: {lost}"
             yield Finding(severity, str(path), problem, fix)
@@ -186,7 +268,7 @@ def deviation_findings(path: Path, found: Sequence[Deviation], severity: Severit
 
 def _place_and_problem(path: Path, each: Deviation) -> tuple[str, str]:
     where = f"{path}, run {each.run}"
-    if each.column == ROW:
+    if each.column == ROW and not each.is_now:
         return where, "the run was executed, and the table has no such run any more"
     return f"{where}, column {each.column!r}", f"the table has {_shown(each.is_now)}, the journal {_shown(each.was)}"
 

@@ -21,6 +21,7 @@ from robot_runner.core.design.run_table_model import RunTable
 from robot_runner.core.errors import Finding, Severity, StorageError
 from robot_runner.core.execution.recovered_table import (
     ATTEMPT_FINISHED,
+    IS_AMENDED,
     Deviation,
     RecoveredTable,
     TableHistory,
@@ -38,16 +39,18 @@ from robot_runner.core.execution.resumption import (
 )
 from robot_runner.core.execution.table_deviations import (
     ORDER,
-    ROW,
+    amended_ends,
     cell_deviations,
     changed_exclusions,
     deviation_findings,
+    is_reordered,
     planned_otherwise,
     treatment_deviations,
+    unfit_values,
     with_changes,
 )
-from robot_runner.core.storage.cells import RunStatus
-from robot_runner.core.storage.executed_runs import ACCEPTED_PLAN, unrecorded_in_words, unrecorded_runs
+from robot_runner.core.storage.cells import RunStatus, measure_text
+from robot_runner.core.storage.executed_runs import ACCEPTED_PLAN, ROW, unrecorded_in_words, unrecorded_runs
 from robot_runner.core.storage.guarded_files import (
     MissingFileError,
     open_to_read,
@@ -123,6 +126,7 @@ class _Recovery:
         attempted = set(history.attempted)
         for column in self._schema:
             table.take_column(column, attempted)
+        table.doubt_implausible(self._manifest, attempted)
         for line in history.doubtful.values():
             table.take_circumstances(parsed_record(self._journal, line))
         for owner, doubts in history.doubts.items():
@@ -132,6 +136,8 @@ class _Recovery:
         table.findings = (*self._schema_findings, *table.findings)
         self._add_newer(table)
         self._settle(table)
+        for end in table.amended:
+            table.take_circumstances(end)
         refuse_differences(table.changed_units(self._schema, self._experiment.folder.schema))
         return table
 
@@ -227,7 +233,11 @@ class _Recovery:
         if self._choice is None:
             refuse_differences(deviation_findings(self._path, found, Severity.ERROR, _CHOOSE), TableDisagreementError)
         if self._choice is TableChoice.FILE:
-            table.deviations = (*found, *table.requalified(found))
+            refuse_differences(unfit_values(self._path, table.rows, found))
+            runs = dict.fromkeys(each.run for each in found)
+            last = [parsed_record(self._journal, ends[run_id]) for run_id in runs if run_id in ends]
+            table.amended, followed = amended_ends(table.rows, self._experiment.columns, last, found)
+            table.deviations = (*found, *followed)
             table.findings = (*table.findings, *deviation_findings(self._path, found, Severity.WARNING))
         elif treatments or any(each.column == ROW for each in found):
             had = "had other treatments than" if treatments else "lacked runs that"
@@ -304,8 +314,11 @@ class _Recovery:
             if line.startswith(ATTEMPT_FINISHED):
                 run_id = run_of(self._journal, line)
                 ends[run_id] = line
-                for key in [key for key in changed if key[0] == run_id] if changed else ():
-                    del changed[key]
+                cells = [cell for cell in changed if cell[0] == run_id] if changed else ()
+                later = parsed_record(self._journal, line)["measures"] if cells and IS_AMENDED in line else None
+                for cell in cells:  # of an amended end those that were published anew
+                    if later is None or (cell[1] in later and measure_text(later[cell[1]]["value"]) != changed[cell]):
+                        del changed[cell]
             else:
                 record = parsed_record(self._journal, line)
                 changed[record["run"], record["column"]] = record["is"]
@@ -353,9 +366,7 @@ class _Recovery:
             return table
         deviation = Deviation("", ORDER, "as planned", "changed by hand")
         table.deviations = (*table.deviations, deviation)
-        problem = (
-            "the rows of the run table were put into another order: runs are executed, and reported, in that order"
-        )
+        problem = "the rows of the run table were put into another order: runs are executed and reported in that order"
         table.findings = (*table.findings, Finding.warning(str(self._path), problem))
         return table
 
@@ -368,16 +379,6 @@ class _Recovery:
     def _kept_fix(self) -> str:
         aside = getattr(self, "_aside", None)
         return f"What the file held is kept as {aside.parent.name}/{aside.name}." if aside is not None else ""
-
-
-def is_reordered(plan: RunTable, rows: RunTableRows) -> bool:
-    """Return whether the runs that plan and table have in common are in different orders."""
-    planned = [run.run_id for run in plan]
-    there = [run.run_id for run in rows.planned]
-    if planned == there:
-        return False
-    both = set(planned) & set(there)
-    return [each for each in planned if each in both] != [each for each in there if each in both]
 
 
 def is_blank(path: Path) -> bool:

@@ -55,6 +55,9 @@ def status_of_word(word: str) -> RunStatus | None:
 CellValue = int | float | bool | str | None
 
 _BOOLS = {"true": True, "false": False}
+#: Excel writes them in its language: Dutch, French, German, Italian, Portuguese, Spanish.
+_ABROAD = dict.fromkeys(("waar", "vrai", "wahr", "vero", "verdadeiro", "verdadero"), "true")
+_ABROAD |= dict.fromkeys(("onwaar", "faux", "falsch", "falso"), "false")
 _SPECIAL = re.compile(r'[",\r\n]')
 
 # An integer exactly as Python writes it: anything else (`007`, `+5`) was written as text and stays text.
@@ -139,7 +142,8 @@ def typed_value(text: str, kind: str | None, *, decimal_comma: bool = False) -> 
     if kind in {"string", "datetime"}:
         return text
     if kind == "boolean":
-        return _BOOLS.get(text.strip().lower(), text)
+        word = text.strip().casefold()
+        return _BOOLS.get(_ABROAD.get(word, word), text)
     value = plain_value(text)
     if kind in {"number", "integer"} and isinstance(value, str):
         number = number_of(text, decimal_comma=decimal_comma)
@@ -159,11 +163,32 @@ def typed_values(cells: Sequence[str], kind: str | None, *, decimal_comma: bool 
     return [typed_value(cell, kind, decimal_comma=decimal_comma) for cell in cells]
 
 
+#: To how many digits programs round the numbers of a table that they save: R and LibreOffice to 15, Excel to what it
+#: shows, which is 9 and more, but 6 where it shows a power of ten.
+_DIGITS, _DIGITS_OF_POWERS = range(9, 18), 6
+_SHOWN_AS_POWER = 1e-3, 1e10
+
+
+def is_same_number(value: object, found: object) -> bool:
+    """Return whether `found` is the number `value`, perhaps rounded as another program does that saves the table.
+
+    Example:
+        >>> is_same_number(20.833333333333332, 20.83333333), is_same_number(20.833333333333332, 20.83)
+        (True, False)
+    """
+    if not (is_number(value) and is_number(found)):
+        return False
+    low, high = _SHOWN_AS_POWER
+    digits = _DIGITS if low <= abs(value) < high else (_DIGITS_OF_POWERS, *_DIGITS)
+    return value == found or any(float(f"{value:.{count}g}") == found for count in digits)
+
+
 def treatment_position(factor: Factor, text: str, *, decimal_comma: bool = False) -> int | None:
     """Return the index of the treatment that a cell stands for, or None.
 
     The exact text comes first. Then, where exactly one treatment fits: the text without surrounding blanks, the same
-    number (`1.0` for 1), and the same letters in another case (`TRUE` for True), as people and spreadsheets write.
+    number (`1.0` for 1), the same letters in another case (`TRUE` for True), and the number that a text treatment reads
+    as (`7` for "007", `1.1` for "1.10"), as people, spreadsheets and R write.
     """
     for candidate in (text, text.strip()):
         place = factor.position_of_text(candidate)
@@ -174,7 +199,12 @@ def treatment_position(factor: Factor, text: str, *, decimal_comma: bool = False
     if any(same_number):
         return _only(same_number)
     folded = text.strip().casefold()
-    return _only([known.casefold() == folded for known in factor.texts])
+    same_letters = [known.casefold() == folded for known in factor.texts]
+    if not any(same_letters) and folded in _ABROAD:
+        same_letters = [each is _BOOLS[_ABROAD[folded]] for each in factor.treatments]
+    if any(same_letters) or number is None:
+        return _only(same_letters)
+    return _only([isinstance(each, str) and number_of(each) == number for each in factor.treatments])
 
 
 def are_stamps(texts: Sequence[str]) -> bool:

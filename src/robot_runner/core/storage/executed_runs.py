@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from bisect import bisect_left
+from collections import Counter
 from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -10,7 +11,7 @@ from typing import Any
 
 from robot_runner.core.design.columns import EXCLUDED, REPETITION, RUN_ID, STATUS
 from robot_runner.core.errors import Finding
-from robot_runner.core.storage.cells import RunStatus, measure_text
+from robot_runner.core.storage.cells import RunStatus, is_same_number, measure_text, number_of
 from robot_runner.core.storage.guarded_files import sha256_of
 from robot_runner.core.storage.journal import read_journal
 from robot_runner.core.storage.layout import ExperimentFolder
@@ -247,41 +248,67 @@ def edited_findings(journal: Path, table: Path, rows: RunTableRows) -> Iterator[
                 known.setdefault(record["run"], {}).update(told)
             case _:
                 known.setdefault(record["run"], {})[record["column"]] = record["is"]
-    found = [cell for place in range(len(rows)) for cell in _edited(rows, place, known)]
+    names = rows.layout.factor_names
+    executed = {name: {cells[name] for cells in known.values() if name in cells} for name in names}
+    numbers = {name: Counter(map(number_of, texts)) for name, texts in executed.items()}
+    found = [cell for place in range(len(rows)) for cell in _edited(rows, place, known, numbers)]
     if found:
         yield Finding.warning(
             str(table), f"cells of runs that were executed were changed by hand: {listed(found, _MOST_NAMED)}", _SETTLE
         )
 
 
+#: The `column` of a deviation that is a removed row: then, unlike with a factor of that name, nothing is there now.
+ROW = "row"
+
+
+def change_in_words(deviation: Mapping[str, Any]) -> str:
+    """Return what was changed by hand in the row of a run, by a record of the journal or of the manifest.
+
+    Example:
+        >>> change_in_words({"run": "r_1", "column": "Energy", "was": "11", "is": "12"})
+        "Energy was changed by hand from '11' to '12'"
+    """
+    if deviation["column"] == ROW and not deviation["is"]:
+        return "its row was removed by hand"
+    return f"{deviation['column']} was changed by hand from {deviation['was']!r} to {deviation['is']!r}"
+
+
 def changes_in_words(manifest: Mapping[str, Any], shown: int = _MOST_NAMED) -> str:
     """Return the cells of runs that were changed by hand and accepted, with old and new values; empty without any."""
-    changes = (each for each in manifest.get("table_deviations") or () if each["run"])
-    cells = [f"{each['column']} of {each['run']} from {each['was']!r} to {each['is']!r}" for each in changes]
+    cells = [
+        f"the row of {each['run']}, which was removed"
+        if each["column"] == ROW and not each["is"]
+        else f"{each['column']} of {each['run']} from {each['was']!r} to {each['is']!r}"
+        for each in manifest.get("table_deviations") or ()
+        if each["run"]
+    ]
     return f"cells were changed by hand in run_table.csv: {listed(cells, shown)}" if cells else ""
 
 
-def _edited(rows: RunTableRows, place: int, known: dict[str, dict[str, str]]) -> Iterator[str]:
+def _edited(
+    rows: RunTableRows, place: int, known: Mapping[str, Mapping[str, str]], numbers: Mapping[str, Counter[Any]]
+) -> Iterator[str]:
     run_id = rows.run_id(place)
     if rows.status(place) is not RunStatus.DONE or run_id not in known:
         return
     row = rows.row(place)
-    for name in (*rows.combination(place), REPETITION, *rows.layout.measures):
-        if name in known[run_id] and name in row and not _is_alike(known[run_id][name], row[name]):
+    for name in (*numbers, REPETITION, *rows.layout.measures):
+        if name not in known[run_id] or name not in row:
+            continue
+        text, cell = known[run_id][name], row[name]
+        if text in {measure_text(cell), str(cell)}:
+            continue
+        if name in numbers:  # it may have other digits (`10.0` for 10), unless another treatment is the same number
+            number = number_of(str(cell), decimal_comma=True)
+            is_alike = number is not None and number == number_of(text) and numbers[name][number] == 1
+        else:
+            is_alike = is_same_number(number_of(text), cell)
+        if not is_alike:
             is_measure = name in rows.layout.measures  # of which an empty cell is no value; a treatment may be None
-            is_now = "empty" if is_measure and row[name] is None else repr(str(row[name]))
-            was = "empty" if is_measure and not known[run_id][name] else repr(known[run_id][name])
+            is_now = "empty" if is_measure and cell is None else repr(str(cell))
+            was = "empty" if is_measure and not text else repr(text)
             yield f"{name} of {run_id} is {is_now}, and was {was}"
-
-
-def _is_alike(text: str, cell: Any) -> bool:
-    """Return whether a cell has the same value, perhaps in other digits (`11.0` for 11)."""
-    if text in {measure_text(cell), str(cell)}:
-        return True
-    try:
-        return float(text) == float(cell)
-    except (TypeError, ValueError):
-        return False
 
 
 # The run table, with what the journal has beyond its file.

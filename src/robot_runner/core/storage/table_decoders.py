@@ -95,7 +95,10 @@ _LINE_END = re.compile(r"\r\n|\r|\n")
 _MOST_REPETITIONS = 1 << 32  # a larger number is a mistake
 # Types that fit a column, too: integers among floats; `any`, as the schema may be older than the table after a kill.
 _TYPES = {"number": (int, float), "integer": (int, float), "boolean": (bool,)}
-_TYPE_WORDS = {"number": "a number", "integer": "an integer", "boolean": "a boolean"}
+#: As R, pandas and numpy write a missing value: among numbers, truth values and time stamps nothing else is meant.
+MISSING = frozenset({"NA", "NaN", "nan"})
+#: What the cells of a column hold, by its type in the schema.
+TYPE_WORDS = {"number": "a number", "integer": "an integer", "boolean": "a boolean"}
 
 
 class RowChunk:
@@ -305,7 +308,7 @@ class MarkDecoder:
         wrong = {text for text, value in known.items() if value is not None and type(value) is not self._kind}
         for place, text in enumerate(cells) if wrong else ():
             if text in wrong:
-                problem = f"{text!r} is not {_TYPE_WORDS[self._column.type]}"
+                problem = f"{text!r} is not {TYPE_WORDS[self._column.type]}"
                 fix = f"Write {'True or False' if self._kind is bool else 'a whole number'}."
                 self._findings.error(problem, fix, line=chunk.lines[place], column=self._column.name)
         return [self._usual if known[text] is None or text in wrong else known[text] for text in cells]
@@ -327,13 +330,15 @@ class MeasureDecoder:
         """Return values; one that is not of the column's type is a warning."""
         if self._blank_is_missing:
             cells = ["" if cell.isspace() else cell for cell in cells]
-        values = self._typed(cells)
         fitting = _TYPES.get(self._kind or "")
+        if fitting is not None and not MISSING.isdisjoint(cells):
+            cells = ["" if cell in MISSING else cell for cell in cells]
+        values = self._typed(cells)
         if fitting is None or {*map(type, values)} <= {*fitting, type(None)}:
             return values
         for place, value in enumerate(values):
             if value is not None and type(value) not in fitting:
-                problem = f"{cells[place]!r} is not {_TYPE_WORDS[str(self._kind)]}, as the column's other values"
+                problem = f"{cells[place]!r} is not {TYPE_WORDS[str(self._kind)]}, as the column's other values"
                 fix = "Correct the cell, or leave it empty where there is no value."
                 self._findings.warning(problem, fix, line=chunk.lines[place], column=self._name)
         return values
@@ -349,6 +354,8 @@ class TextDecoder:
 
     def read(self, cells: Sequence[str], chunk: RowChunk) -> Sequence[str | None]:
         """Return texts; in a column of time stamps, another text is a warning."""
+        if self._is_stamp and not MISSING.isdisjoint(cells):
+            cells = ["" if cell in MISSING else cell for cell in cells]
         if not any(cells):
             return [None] * len(cells)
         if has_odd := self._is_stamp and not are_stamps(list(filter(None, cells))):
