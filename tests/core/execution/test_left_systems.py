@@ -21,7 +21,7 @@ from robot_runner.core.config import plugin_checks
 from robot_runner.core.config.preparation import prepare_or_refuse
 from robot_runner.core.entry_points import EntryPoint
 from robot_runner.core.errors import ExecutionError, LinkError, RobotRunnerError
-from robot_runner.core.execution import standby
+from robot_runner.core.execution import standby, systems_state
 from robot_runner.core.execution.left_systems import (
     goes_on,
     may_be_moving,
@@ -129,7 +129,7 @@ def test_what_was_done_about_a_robot_is_told_where_the_execution_is_refused_then
     assert made_safe(experiment) == "hall hall r_2 None"
     *refusals, told = caught.value.findings
     assert all(each.is_error for each in refusals)
-    assert told.problem.endswith("nobody was left to make its systems safe; that was done now")
+    assert told.problem.endswith("no process was left to make its systems safe; that was done now")
 
 
 def test_of_several_robots_those_that_were_made_safe_are_told_beside_one_that_could_not_be(
@@ -199,9 +199,9 @@ def test_goals_that_a_killed_run_has_sent_are_cancelled_and_a_server_that_hangs_
 
     def hang(link: object, action: str) -> None:
         deadline = time.monotonic() + 20
-        while not made_safe(experiment) and time.monotonic() < deadline:
+        while not (found := made_safe(experiment)) and time.monotonic() < deadline:
             time.sleep(0.01)
-        cancelled.write_text(f"{action} {bool(made_safe(experiment))}")
+        cancelled.write_text(f"{action} {bool(found)}")
         raise LinkError("the action server does not answer", where=action)
 
     monkeypatch.setattr(standby, "keep_cancelling_goals", hang)
@@ -523,3 +523,17 @@ def test_a_package_that_fails_to_end_what_it_has_left_is_named_and_systems_are_m
         see_to_what_is_left(experiment)
     assert "lab:belt" in caught.value.findings[0].where
     assert made_safe(experiment) == "hall hall r_2 None"
+
+
+def test_a_copy_that_is_left_without_its_file_is_removed_and_where_there_is_neither_nothing_is_opened(
+    experiment: Experiment, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = SystemsFile(experiment.folder)
+    file.begin("rosbridge://127.0.0.1:1", left(experiment))
+    experiment.folder.to_make_safe.unlink()  # as on a disk that was full as it was to be written
+    assert len(left_copies()) == 1
+    file.remove()
+    assert left_copies() == []
+    for opening in ("read_text", "remove"):
+        monkeypatch.delattr(systems_state, opening)
+    file.remove()

@@ -69,6 +69,19 @@ def test_a_file_has_the_time_at_which_it_was_written_there_if_that_is_one(
     assert file.stat().st_mtime == (kept or pytest.approx(time.time(), abs=60))
 
 
+@pytest.mark.parametrize("said", [{"GNU.sparse.size": "x"}, {"GNU.sparse.map": "a,b"}])
+def test_an_archive_that_says_what_cannot_be_is_told(tmp_path: Path, said: dict[str, str]) -> None:
+    packed = io.BytesIO()
+    with tarfile.open(fileobj=packed, mode="w") as tar:
+        tar.addfile(tarfile.TarInfo("first"))
+        odd = tarfile.TarInfo("odd")
+        odd.pax_headers = said
+        tar.addfile(odd)
+    packed.seek(0)
+    unpacked = unpack(packed, tmp_path, 1000)
+    assert (unpacked.files, len(unpacked.problems)) == ([tmp_path / "first"], 1)
+
+
 def test_a_folder_does_not_take_the_place_of_a_file_that_came_before(tmp_path: Path) -> None:
     unpacked = unpack(archive_of(("a", b"1"), ("a/b", b"2")), tmp_path, _PLENTY)
     assert files_in(tmp_path) == {"a": b"1"}

@@ -10,6 +10,7 @@ import pytest
 from robot_runner.core.errors import LinkError
 from robot_runner.core.links import goal_cancelling
 from robot_runner.core.links.goal_cancelling import cancel_all_goals, keep_cancelling_goals
+from robot_runner.core.links.robot import Encoding
 from robot_runner.testing import FakeAction, FakeClock, FakeRobotLink
 
 CANCEL = "/dig/_action/cancel_goal"
@@ -60,33 +61,51 @@ def test_a_server_that_refuses_is_an_error() -> None:
 
 @pytest.mark.parametrize("cancel", [cancel_all_goals, keep_cancelling_goals])
 @pytest.mark.parametrize(
-    ("states", "is_refused"),
-    [([2], True), ([6, 1], True), ([2, 3], True), ([3], False), ([4, 5, 6], False), ([], False), (None, False)],
+    ("states", "goes_on"),
+    [([2], True), ([6, 1], True), ([2, 3], True), ([3], True), ([4, 5, 6], False), ([], False), (None, False)],
 )
 def test_a_server_that_answers_well_and_goes_on_is_an_error(
-    cancel: Any, states: list[int] | None, is_refused: bool, monkeypatch: Any
+    cancel: Any, states: list[int] | None, goes_on: bool, monkeypatch: Any
 ) -> None:
     monkeypatch.setattr(goal_cancelling, "_LATE_SECONDS", 0.0)
     link = FakeRobotLink(FakeClock(), actions={"/dig": FakeAction()})
     link.offer(CANCEL, "action_msgs/CancelGoal", lambda _: {"return_code": 0, "goals_canceling": []})
-    subscribe = link.subscribe
-
-    def told_at_once(topic: str, message_type: str, callback: Any) -> Any:
-        subscription = subscribe(topic, message_type, callback)
-        if states is not None:  # as it is transient local
-            link.deliver("/dig/_action/status", {"status_list": [{"status": each} for each in states]})
-        return subscription
-
-    monkeypatch.setattr(link, "subscribe", told_at_once)
-    with pytest.raises(LinkError, match="refuses to cancel its goals") if is_refused else nullcontext():
+    _tell(link, "/dig/_action/status", states, monkeypatch)
+    with pytest.raises(LinkError, match="do not end within 5 s after it was asked") if goes_on else nullcontext():
         cancel(link, "/dig")
 
 
-def test_a_goal_that_is_cancelled_a_moment_after_the_answer_is_no_refusal(monkeypatch: Any) -> None:
+@pytest.mark.parametrize(
+    ("states", "goes_on"), [([1], True), ([6], True), ([7, 3], True), ([2, 3, 4, 5, 8, 9], False), ([], False)]
+)
+def test_a_goal_of_ros_1_that_takes_the_request_and_goes_on_is_an_error(
+    states: list[int], goes_on: bool, monkeypatch: Any
+) -> None:
+    link = FakeRobotLink(FakeClock(), actions={"/dig": FakeAction()})
+    monkeypatch.setattr(link, "encoding", Encoding.ROS1, raising=False)
+    _tell(link, "/dig/status", states, monkeypatch)
+    with pytest.raises(LinkError, match="do not end within 0 s after it was asked") if goes_on else nullcontext():
+        cancel_all_goals(link, "/dig", timeout=0.0)
+
+
+def _tell(link: FakeRobotLink, topic: str, states: list[int] | None, monkeypatch: Any) -> None:
+    """Deliver the states of goals to whoever subscribes, as they are transient local, or come again at once."""
+    subscribe = link.subscribe
+
+    def told_at_once(name: str, message_type: str, callback: Any) -> Any:
+        subscription = subscribe(name, message_type, callback)
+        if states is not None:
+            link.deliver(topic, {"status_list": [{"status": each} for each in states]})
+        return subscription
+
+    monkeypatch.setattr(link, "subscribe", told_at_once)
+
+
+def test_a_goal_whose_end_takes_a_moment_after_the_answer_is_waited_for(monkeypatch: Any) -> None:
     clock = FakeClock()
     link = FakeRobotLink(clock, actions={"/dig": FakeAction()})
     link.offer(CANCEL, "action_msgs/CancelGoal", lambda _: {"return_code": 0})
-    status = iter([2, 2, 3])
+    status = iter([2, 2, 3, 3, 3, 5])
 
     def sleep(seconds: float) -> None:
         link.deliver("/dig/_action/status", {"status_list": [{"status": next(status)}]})

@@ -158,7 +158,7 @@ class Attempts:
             robot = {"name": ROBOT, "value": place.name, "owner": ROBOTS_OWNER, "origin": Origin.MEASURED.value}
             task.measures[ROBOT] = robot
             report_own("measure", robot)
-        passage.report_to(report_own, columns.doubtful_with_run)
+        passage.report_to(report_own, columns)
         self._bind_plugins(task, report_own)
         if not builder.has_failed:
             ongoing.events.emit_to_run(RobotRunnerEvents.BEFORE_RUN, task, report_own, place.experiment)

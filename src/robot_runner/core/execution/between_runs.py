@@ -92,8 +92,9 @@ class BetweenRuns:
         if self._is_semi and not (is_cleared or has_asked or self._ongoing.is_ending):
             yield from self._operator.ask_to_start(run, name)
         rest = self._parameters.time_between_runs_in_ms / 1000 if finished is not None else 0.0
-        # The washout between treatments is kept in full: the unit's last run may have been in another session.
-        rest = max(rest, self._rest_before(self._ongoing.progress.task_of(run).combination))
+        if self._held.rest_in_s:
+            # The washout between treatments is kept in full: the unit's last run may have been in another session.
+            rest = max(rest, self._rest_before(self._ongoing.progress.task_of(run).combination))
         if rest and not self._ongoing.is_ending:
             yield UntilEnding(Pause(rest), lambda: self._ongoing.is_ending)
         yield from self.pause_where_requested(run)  # it may have been asked for meanwhile

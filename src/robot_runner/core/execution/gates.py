@@ -15,7 +15,7 @@ from robot_runner.core.config.experiment import Experiment
 from robot_runner.core.config.gate_parameters import Gate, GatePolicy
 from robot_runner.core.errors import ConditionTimeout, Finding, RobotRunnerError
 from robot_runner.core.events.context import RobotRunnerContext
-from robot_runner.core.events.measure import CONFIG_OWNER
+from robot_runner.core.events.measure import CONFIG_OWNER, MeasureColumns
 from robot_runner.core.execution.notices import FindingsNoticed, GatePassed, GateWaiting
 from robot_runner.core.execution.orchestrator_events import OngoingExperiment
 from robot_runner.core.execution.places import Watch
@@ -47,11 +47,11 @@ class Passage:
     failure: str = ""
     stop: str = ""
 
-    def report_to(self, report: Report, columns: Sequence[str]) -> None:
-        """Report doubts and failure to an attempt; doubts are about all measures, whose names are `columns`."""
+    def report_to(self, report: Report, columns: MeasureColumns) -> None:
+        """Report doubts and failure to an attempt; doubts are about all measures of these columns."""
         for finding in self.doubts:
             told = {"problem": finding.problem, "fix": finding.fix}
-            report("finding", {"owner": _OWNER, **told, "measures": list(columns)})
+            report("finding", {"owner": _OWNER, **told, "measures": columns.doubtful_with_run})
         if self.failure:
             report("failure", {"event": "", "owner": _OWNER, "problem": self.failure, "traceback": ""})
 

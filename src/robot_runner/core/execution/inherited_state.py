@@ -16,8 +16,9 @@ import os
 import random
 import stat
 import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from contextlib import suppress
+from itertools import chain
 from typing import Any
 from weakref import ref
 
@@ -40,8 +41,8 @@ def note_open_files() -> None:
 def note_fresh_files() -> None:
     """Remember the files that `before_run` has opened, too: they are among the newest objects."""
     known = set(map(id, _still_there()))
-    young = (each for generation in _YOUNG for each in gc.get_objects(generation=generation))
-    _inherited.extend(ref(each) for each in _files_among(young) if id(each) not in known)
+    young = [gc.get_objects(generation) for generation in _YOUNG]
+    _inherited.extend(ref(each) for each in _files_among(*young) if id(each) not in known)
 
 
 def write_inherited() -> None:
@@ -60,7 +61,7 @@ def write_open_files() -> list[str]:
     made = gc.get_objects()
     problems = list(_flushed(_files_among(made, _still_there())))
     known = [getattr(sys.modules[module], name) for module, name in _ENDED_BY_CLOSING if module in sys.modules]
-    for each in [each for each in made if known and issubclass(type(each), tuple(known))]:
+    for each in _of_types(made, tuple(known)):
         problems += _problem(each, each.close)
     return problems
 
@@ -72,11 +73,15 @@ def _still_there() -> list[Any]:
 
 def _files_among(*objects: Iterable[Any]) -> list[Any]:
     """Return the regular files among objects that can be written; text first, which writes into the others."""
-    all_of_them = [each for some in objects for each in some]
-    # By their types, of which there are few. Not `isinstance`, which reads `__class__`: proxies execute code then.
-    kinds = {kind for kind in set(map(type, all_of_them)) if issubclass(kind, _WRITERS)}
-    found = [each for each in all_of_them if type(each) in kinds] if kinds else []
+    found = _of_types([*chain(*objects)], _WRITERS)
     return sorted(filter(_is_written, found), key=lambda each: isinstance(each, _BUFFERED))
+
+
+def _of_types(objects: Collection[Any], types: tuple[type, ...]) -> list[Any]:
+    """Return the objects of these types and of types derived from them."""
+    # By their types, of which there are few. Not `isinstance`, which reads `__class__`: proxies execute code then.
+    kinds = {kind for kind in set(map(type, objects)) if not set(types).isdisjoint(kind.__mro__)}
+    return [each for each in objects if type(each) in kinds] if kinds else []
 
 
 def _is_written(file: Any) -> bool:

@@ -31,8 +31,8 @@ from robot_runner.core.storage.layout import LazyLog
 
 #: How long after the grace a keeper that should have ended its run is waited for, s.
 _KEEPER_MARGIN = 10.0
-#: How often a keeper is looked at whose run is dead, s: one that is stopped does not report that.
-_OFTEN = 0.5
+#: When a keeper whose run is dead is looked at first, and then how often, s: one that is stopped does not report that.
+_SOON, _OFTEN = 0.1, 0.5
 
 
 class LocalPlace:
@@ -299,6 +299,8 @@ class _Supervision:
 
     def _take_records(self) -> None:
         records, self._awaits_records = self._reader.read()
+        if not self._awaits_records:  # the keeper nearly always reports in a moment
+            self._look_at = time.monotonic() + _SOON
         for kind, fields in records:
             if kind == "event":
                 self._event_started = time.monotonic()

@@ -73,7 +73,7 @@ class RunInFlight(Awaited, Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Watch:
-    """A run in flight, for the orchestrator: to wait for, to stop, and to ask for its outcome.
+    """What a run in flight reports to, and what ends it, beside its place.
 
     Attributes:
         interruption: the user's, for a run that the orchestrating process executes itself.

@@ -8,6 +8,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, nullcontext, suppress
 from dataclasses import replace
+from functools import lru_cache
 from typing import Any, Self
 
 from robot_runner.core.config.experiment import Experiment
@@ -79,6 +80,7 @@ class ProgressManager:
         self._unread = UnreadFactors(experiment)
         self._resources = ExitStack()
         self._last_outcomes: dict[str, RunOutcome] = {}
+        self._systems_file = lru_cache(lambda slot: SystemsFile(experiment.folder.at_slot(slot)))
 
     def __enter__(self) -> Self:
         with told_if_refused() as seen_to, ExitStack() as opened:
@@ -272,10 +274,9 @@ class ProgressManager:
     def begin(self, run: PendingRun, place: str = "", slot: int = 1) -> RunTask:
         """Begin another attempt at a run at a place; the files of an earlier attempt are moved, not lost."""
         self.look_after_lock()
-        earlier = self._attempts[run.run_id]
-        self._attempts[run.run_id] += 1
         if run.run_id in self._left_behind:
-            put_earlier_attempt_away(self._folder, run.run_id, earlier)
+            put_earlier_attempt_away(self._folder, run.run_id, self._attempts[run.run_id])
+        self._attempts[run.run_id] += 1
         if self._rows.status(run.place) is not RunStatus.TODO:
             self._rows.clear(run.run_id)
         if self._rows.excluded(run.place) is not None:  # the reason was about the earlier attempt
@@ -312,15 +313,14 @@ class ProgressManager:
     ) -> tuple[Finding, ...]:
         """Record how an attempt went and which steps follow; return findings that are about all runs to come."""
         self._lock.refuse_other_folder(self._journal)  # a run whose files are in two folders is not done
-        if task.slot:
-            keep_log(self._folder.at_slot(task.slot), task.run_id)
+        if task.slot and keep_log(self._folder.at_slot(task.slot), task.run_id):
             self._findings += large_log(self._folder.log(task.run_id))
         self._durations.end(time.monotonic(), outcome.status.value, is_last=is_last, run=task.run_id)
         self._findings += [*outcome.findings, *missing_measures(self._experiment, task, outcome)]
         if outcome.status is AttemptStatus.FAILED:  # also before another attempt, which an interruption may prevent
             self._failed[task.run_id] = str(outcome.failure)
         self._keep_outcome(task, outcome, {"is_last": is_last} | ({"to_ask": [*to_ask]} if to_ask else {}))
-        SystemsFile(self._folder.at_slot(task.slot)).remove()  # the outcome tells what became of its systems
+        self._systems_file(task.slot).remove()  # the outcome tells what became of its systems
         return self._unread.take(task, outcome)
 
     def amend_outcome(self, task: RunTask, before: RunOutcome, later: RunOutcome) -> RunOutcome:

@@ -191,13 +191,13 @@ def missing_measures(experiment: Experiment, task: RunTask, outcome: RunOutcome)
     """Return a warning for each measure without a value, of a run that is done."""
     if outcome.status is not AttemptStatus.DONE:
         return []
-    has_log = experiment.folder.log(task.run_id).exists()
+    log = experiment.folder.log(task.run_id)
     published = {column: outcome.measures.get(column.name) for column in experiment.columns.in_table}
     return [
         Finding.warning(
             f"{task.run_id}, {column.owner}",
             f"{column.name} has no value",
-            "`robot-runner explain RUN` gives the reasons." if found and found.doubts else _fix(column.owner, has_log),
+            "`robot-runner explain RUN` gives the reasons." if found and found.doubts else _fix(column.owner, log),
         )
         for column, found in published.items()
         if column.owner != OPERATOR_OWNER  # a person is asked before some runs only
@@ -236,9 +236,9 @@ def large_log(log: Path) -> list[Finding]:
     return [Finding.warning(log.parent.name, f"the run has printed {size / 1e6:,.0f} MB, which {log.name} keeps", fix)]
 
 
-def _fix(owner: str, has_log: bool) -> str:
+def _fix(owner: str, log: Path) -> str:
     if owner == CONFIG_OWNER:
         return "Return it from populate_run_data."
-    if has_log:
+    if log.exists():
         return "Look at the log of the run."
     return "Publish it in populate_run_data; where there is no value, tell why by context.doubt."

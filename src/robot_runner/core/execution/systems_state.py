@@ -123,7 +123,9 @@ class LeftSystems:
     def in_words(self) -> str:
         """The beginning of a finding about them."""
         robot = "" if self.robot is None else f" ({self.robot})"
-        return f"an earlier execution was killed in {self.run_id}{robot}, and nobody was left to make its systems safe"
+        return (
+            f"an earlier execution was killed in {self.run_id}{robot}, and no process was left to make its systems safe"
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -207,9 +209,10 @@ class SystemsFile:
 
     def remove(self) -> None:
         """Remove the file: they are safe, or a person was told that they are not."""
-        self._remove_copies()  # first: a copy without the file tells of a robot that is moving
-        with suppress(StorageError):
-            remove(self._path, self._root)
+        if any(map(os.path.lexists, filter(None, (self._path, self._copy)))):  # nearly always, neither is there
+            self._remove_copies()  # first: a copy without the file tells of a robot that is moving
+            with suppress(StorageError):
+                remove(self._path, self._root)
 
     def _remove_copies(self) -> None:
         """Remove the copy, also the one of the folder that this one was before it was moved."""

@@ -106,26 +106,25 @@ def _execute(experiment: Experiment, task: RunTask, systems: SystemsState | None
 @contextmanager
 def _kept(systems: SystemsState, experiment: Experiment, task: RunTask) -> Iterator[None]:
     """Keep a `SystemsFile` until the systems are safe: keeper, standby and orchestrator may be killed, too."""
-    file = SystemsFile(experiment.folder)
-    names, begun = [each.name for each in systems_of_standby(experiment)], False
+    file: SystemsFile | None = None
     adding = threading.Lock()  # several threads may command the first robots
 
-    def begin(robot: str | None) -> None:
-        nonlocal begun
-        begun = True
-        file.begin(robot, described_task(experiment, task), names)
+    def begun(robot: str | None) -> SystemsFile:
+        nonlocal file
+        if file is None:
+            file = SystemsFile(experiment.folder)
+            file.begin(robot, described_task(experiment, task), [each.name for each in systems_of_standby(experiment)])
+        return file
 
     def add(commanded: Commanded) -> None:
-        with adding:
-            if not begun:  # a callback has reached a robot that the config does not name
-                begin(commanded.graph or None)
-            file.add_commanded(commanded)
+        with adding:  # begun only here where a callback has reached a robot that the config does not name
+            begun(commanded.graph or None).add_commanded(commanded)
 
     if has_standby(experiment):
-        begin(experiment.parameters.robot)
+        begun(experiment.parameters.robot)
     hear_commanded(add)
     yield
-    if begun and systems.care in {Care.NOBODY_YET, Care.SAFE}:
+    if file is not None and systems.care in {Care.NOBODY_YET, Care.SAFE}:
         file.remove()
 
 

@@ -5,14 +5,16 @@ from __future__ import annotations
 import errno
 import os
 import shutil
-import tarfile
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
-from typing import IO
+from typing import IO, TYPE_CHECKING
 
 from robot_runner.core.words import one_line
+
+if TYPE_CHECKING:
+    import tarfile
 
 #: The size of headers and padding that an archive may have beyond its files, bytes.
 TAR_MARGIN = 10_000_000
@@ -39,6 +41,7 @@ class Unpacked:
 
 def pack(source: Path, name: str, archive: IO[bytes]) -> None:
     """Write a file or a folder into an archive under a name, without an owner, and rewind."""
+    import tarfile  # noqa: PLC0415 - of hosts alone, and in the memory of each process that a run forks
 
     def own(member: tarfile.TarInfo) -> tarfile.TarInfo:
         member.uid = member.gid = 0
@@ -59,18 +62,23 @@ def unpack(archive: IO[bytes], folder: Path, most: int) -> Unpacked:
         folder: must exist.
         most: how many bytes are allowed.
     """
+    import tarfile  # noqa: PLC0415 - as above
+
     unpacked = Unpacked()
     seen: dict[str, tarfile.TarInfo] = {}
-    # An archive may end anywhere, if its program was ended.
-    with suppress(tarfile.TarError, EOFError), tarfile.open(fileobj=archive, mode="r:") as tar:
-        for member in tar:
-            # What has a second name stands in the archive under its first one.
-            held = seen[member.name] = seen.get(member.linkname, member) if member.islnk() else member
-            if unpacked.size + held.size > most:
-                unpacked.is_too_much = True
-                break
-            if not member.isdir() and not _unpack_member(tar, member.name, held, folder, unpacked):
-                break
+    try:
+        # An archive may end anywhere, if its program was ended.
+        with suppress(tarfile.TarError, EOFError), tarfile.open(fileobj=archive, mode="r:") as tar:
+            for member in tar:
+                # What has a second name stands in the archive under its first one.
+                held = seen[member.name] = seen.get(member.linkname, member) if member.islnk() else member
+                if unpacked.size + held.size > most:
+                    unpacked.is_too_much = True
+                    break
+                if not member.isdir() and not _unpack_member(tar, member.name, held, folder, unpacked):
+                    break
+    except (ValueError, OverflowError, MemoryError):  # a map of a sparse file that is none, a header without end
+        unpacked.problems.append("the archive that came cannot be read to its end")
     return unpacked
 
 

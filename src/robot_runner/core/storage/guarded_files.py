@@ -256,7 +256,7 @@ def open_descriptor(path: Path, root: Path | None = None, flags: int = os.O_RDWR
     """
     action = "written" if flags & _WRITING else "read"
     with refusals(path, root, action) as (top, (*folders, name)), folder_inside(top, folders) as folder:
-        return _open_regular(path, folder, name, flags, mode or rights_of(top) & 0o666)
+        return _open_regular(path, folder, name, flags, mode or (flags & os.O_CREAT and rights_of(top) & 0o666))
 
 
 @contextmanager

@@ -102,8 +102,10 @@ def parts_below(path: Path, root: Path) -> tuple[str, ...]:
     Raises:
         StorageError: the path leads out of the experiment's folder.
     """
-    parts = path.relative_to(root).parts if path.is_relative_to(root) else ()
-    if not parts or ".." in parts or any("\0" in part for part in parts):
+    above, parts = root.parts, path.parts  # not by `relative_to`, which is slow: each opening asks for them
+    is_below = parts[: len(above)] == above and path.anchor == root.anchor
+    parts = parts[len(above) :]
+    if not (is_below and parts) or ".." in parts or any("\0" in part for part in parts):
         problem = "the path leads out of the experiment's folder"
         raise StorageError(problem, where=str(path), fix=f"Name a file inside {root}.")
     return parts

@@ -223,13 +223,13 @@ class LazyLog(io.TextIOBase):
         return self._file
 
 
-def keep_log(folder: ExperimentFolder, run_id: str) -> None:
-    """Move the log of a run into its folder, with secrets of the environment masked; an empty log is not kept.
+def keep_log(folder: ExperimentFolder, run_id: str) -> bool:
+    """Move the log of a run into its folder, with secrets of the environment masked; return False where it is empty.
 
     Raises:
         StorageError: it cannot be moved.
     """
-    _keep_log(folder, folder.log(run_id))
+    return _keep_log(folder, folder.log(run_id))
 
 
 def keep_unknown_log(folder: ExperimentFolder) -> Path | None:
