@@ -33,6 +33,8 @@ BAD = {
     "a wrong choice": ({"body": "operation_type = 'semi'"}, "the value is 'semi', of type str"),
     "a callback that takes too much": ({"body": "def stop_run(self, a, b): ..."}, "cannot be called with a context"),
     "a callback without self": ({"body": "def stop_run(context): ..."}, "Write def stop_run(self, context)."),
+    "a callback without any parameter": ({"body": "def stop_run(): ..."}, "Write def stop_run(self, context)."),
+    "a lambda without self": ({"body": "before_run = lambda: print('x')"}, "before_run has no self"),
     "a run table without self": (
         {"table": "    def create_run_table():\n        return RunTableModel([])\n"},
         "Write self as its first parameter: def create_run_table(self).",

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import pytest
 from tests.command_line import Answer
 
-from robot_runner.cli.commands import installed_commands, summary_of
+from robot_runner.cli.commands import command_module, installed_commands, summary_of
 from robot_runner.core import entry_points as entry_points_module
 from robot_runner.core.entry_points import EntryPoint
 
@@ -72,6 +72,14 @@ def test_the_core_s_commands_come_first_and_those_of_a_room_stand_together() -> 
     assert names[: len(CORE)] == CORE
     rooms = [installed_commands()[name].module.split(".")[1] for name in names[len(CORE) :]]
     assert rooms == sorted(rooms)
+
+
+@pytest.mark.long
+def test_examples_in_the_help_of_each_command_fit_a_terminal_of_80_columns() -> None:
+    """They are not folded, as their columns and commands would fall apart."""
+    texts = {name: command_module(point).__doc__ or "" for name, point in installed_commands().items()}
+    examples = [(name, line) for name, text in texts.items() for line in text.splitlines() if line.startswith(" ")]
+    assert [each for each in examples if len(each[1]) > 80] == []
 
 
 def test_a_stranger_s_command_is_listed_and_executed_like_ours(robot_runner: Callable, announce: Callable) -> None:

@@ -129,6 +129,10 @@ def test_the_version_is_that_of_the_package(robot_runner: Callable) -> None:
         (["check", "c.py", "--jsn"], "robot-runner check: there is no option '--jsn'", "Did you mean '--json'?"),
         (["run", "c.py", "--sett=robot=simulated"], "there is no option '--sett'", "Did you mean '--set'?"),
         (["run", "--", "c.py", "--only"], "'--only' stands behind '--', where nothing is an option", "Leave '--' out"),
+        (["--set", "robot=simulated", "c.py"], "'--set' stands before what it is for", "Put options behind"),
+        (["--json", "check", "c.py"], "'--json' stands before what it is for", "Put options behind"),
+        (["version"], "there is no command 'version'", "Did you mean '--version'?"),
+        (["c.py", "--set", "robot", "simulated"], "'simulated' is one word too many", "Write --set name=value without"),
         (["run"], "robot-runner run: CONFIG is missing", "See `robot-runner run --help`."),
         (["plan", "a.py", "b.py"], "'b.py' is one word too many", "See `robot-runner plan --help`."),
         (["check", "c.py", "--set"], "argument --set: expected one argument", "See `robot-runner check --help`."),
@@ -145,6 +149,11 @@ def test_words_that_are_not_understood_are_one_problem_with_a_fix(
     assert first.startswith("error: ")
     assert problem in first
     assert second.startswith(f"  fix: {fix}")
+
+
+def test_a_config_that_is_named_without_its_ending_is_told(robot_runner: Callable, write_config: Callable) -> None:
+    answer = robot_runner(write_config(name="study.py").stem)
+    assert (answer.code, answer.err.splitlines()[1]) == (2, "  fix: Did you mean 'study.py'?")
 
 
 def test_a_config_file_alone_is_executed(robot_runner: Callable, write_config: Callable[..., Path]) -> None:

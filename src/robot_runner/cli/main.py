@@ -119,9 +119,12 @@ def _command(words: list[str]) -> tuple[str, list[str]]:
     commands = installed_commands()
     if first in commands:
         return first, words[1:]
-    from robot_runner.cli.parser import unknown_command, unknown_option  # noqa: PLC0415 - for a quick --help
+    from robot_runner.cli.parser import UsageError, unknown_command, unknown_option  # noqa: PLC0415 - for a quick --help
 
     if first.startswith("-"):
+        if any(each in commands or each.endswith(".py") for each in words[1:]):
+            fix = "Put options behind the command or the config file."
+            raise UsageError(f"{first!r} stands before what it is for", where="robot-runner", fix=fix)
         raise unknown_option(first, ["--help", "--version"], where="robot-runner")
     if first.endswith(".py") or "/" in first or os.path.exists(first):  # noqa: PTH110 - false of a name too long, too
         return "run", words

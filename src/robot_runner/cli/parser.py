@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import os
 import textwrap
 from collections.abc import Callable, Collection, Iterable, Sequence
 from typing import Any, NoReturn, Protocol
@@ -82,7 +83,9 @@ class Parser(argparse.ArgumentParser):
                 problem = f"{unknown[0]!r} stands behind '--', where nothing is an option"
                 raise UsageError(problem, where=self.prog, fix="Leave '--' out, or put it behind all options.")
             raise unknown_option(unknown[0], options, where=self.prog)
-        raise UsageError(f"{unknown[0]!r} is one word too many", where=self.prog, fix=self._help_fix)
+        is_value = bool(getattr(arguments, "set", None))
+        fix = "Write --set name=value without blanks, or put it in quotes." if is_value else self._help_fix
+        raise UsageError(f"{unknown[0]!r} is one word too many", where=self.prog, fix=fix)
 
     def error(self, message: str) -> NoReturn:
         """Turn a complaint of argparse into one of ours.
@@ -130,7 +133,7 @@ def unknown_command(word: str, known: Collection[str]) -> UsageError:
     if word in _EARLIER_COMMANDS:
         problem = f"{word!r} is a command of the earlier tools"
         return UsageError(problem, where="robot-runner", fix=_EARLIER_COMMANDS[word])
-    near = nearest(word, known)
+    near = f"{word}.py" if os.path.exists(f"{word}.py") else nearest(word, [*known, "--version"])  # noqa: PTH110 - false of any text
     fix = f"Did you mean {near!r}?" if near else f"Choose one of: {', '.join(known)}; or name a config file (.py)."
     return UsageError(f"there is no command {word!r}", where="robot-runner", fix=fix)
 

@@ -26,7 +26,7 @@ from robot_runner.core.execution.notices import AttemptFinished, Notice, RunReco
 from robot_runner.core.execution.orchestrator import execute_experiment
 from robot_runner.core.execution.probe import without_values
 from robot_runner.core.execution.task import AttemptStatus, RunOutcome
-from robot_runner.core.late_annotations import OPEN_KINDS, signature_of
+from robot_runner.core.late_annotations import needed_parameters, signature_of
 from robot_runner.core.plugin import Plugin, installed_plugins, load_plugin, refused_name
 from robot_runner.core.storage.guarded_files import open_to_read, read_json, read_text
 from robot_runner.core.storage.journal import seconds_of
@@ -230,7 +230,7 @@ def make_plugin(chosen: str, values: Mapping[str, str]) -> tuple[Plugin, str | N
     own = {name: text for name, text in values.items() if name in parameters or name != _ROBOT}
     _check_names(kind, own)
     try:
-        plugin = kind(**{name: parsed_value(text) for name, text in own.items()})
+        plugin = _built(kind, {name: parsed_value(text) for name, text in own.items()})
     except PluginError:
         raise
     except Exception as error:
@@ -238,6 +238,18 @@ def make_plugin(chosen: str, values: Mapping[str, str]) -> tuple[Plugin, str | N
     if refused := refused_name(plugin):
         raise refused
     return plugin, robot
+
+
+def _built(kind: type[Plugin], values: dict[str, Any]) -> Plugin:
+    """Return the plugin with these parameters; `*several` takes a list, or one value."""
+    positional: list[Any] = []
+    for name, each in signature_of(kind).parameters.items():
+        if each.kind is each.VAR_POSITIONAL and name in values:
+            several = values.pop(name)
+            before = [values.pop(given.name, given.default) for given in positional]
+            return kind(*before, *(several if isinstance(several, list | tuple) else [several]), **values)
+        positional.append(each)
+    return kind(**values)
 
 
 def _check_names(kind: type, own: Mapping[str, str]) -> None:
@@ -252,8 +264,7 @@ def _check_names(kind: type, own: Mapping[str, str]) -> None:
     if unknown:
         fix = did_you_mean(unknown[0], [*parameters, _ROBOT])
         raise PluginError(f"the plugin has no parameter {unknown[0]!r}", where=kind.__name__, fix=fix)
-    needed = [name for name, each in parameters.items() if each.default is each.empty and each.kind not in OPEN_KINDS]
-    missing = [name for name in needed if name not in own]
+    missing = [name for name in needed_parameters(kind) if name not in own]
     if missing:
         settings = " ".join(f"--set {name}=..." for name in missing)
         problem = f"the plugin cannot be built without {enumerated(missing)}"

@@ -59,6 +59,19 @@ def parameters_of(kind: type) -> dict[str, inspect.Parameter]:
 
 #: The kinds of parameters that take any number of arguments.
 OPEN_KINDS = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
+
+
+def needed_parameters(called: Callable[..., Any]) -> list[str]:
+    """Return the names of the parameters without which something cannot be called.
+
+    Example:
+        >>> needed_parameters(lambda cause, *answers, rate_hz, timeout_s=1.0: None)
+        ['cause', 'rate_hz']
+    """
+    parameters = signature_of(called).parameters.items()
+    return [name for name, each in parameters if each.default is each.empty and each.kind not in OPEN_KINDS]
+
+
 _PLAIN = {"bool": bool, "int": int, "float": float, "str": str, "None": NoneType}
 _IN_WORDS = {bool: "True or False", int: "a whole number", float: "a number", str: "a text", NoneType: "None"}
 

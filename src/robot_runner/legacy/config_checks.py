@@ -10,8 +10,8 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from robot_runner.core.config.loader import fix_of_missing
 from robot_runner.core.config.parameters import OperationType
+from robot_runner.core.config.raised_errors import fix_of_missing
 from robot_runner.core.config.source import read_tree
 from robot_runner.core.errors import ConfigError, Finding, did_you_mean, nearest
 from robot_runner.legacy.earlier_experiment import check_callback

@@ -20,11 +20,11 @@ from robot_runner.core.config.loader import (
     apply_overrides,
     execute_source,
     make_importable,
-    raised_in,
     threads_since,
 )
 from robot_runner.core.config.local_modules import local_modules_among
 from robot_runner.core.config.parameters import PARAMETERS
+from robot_runner.core.config.raised_errors import raised_in
 from robot_runner.core.config.source import ConfigSource
 from robot_runner.core.errors import ConfigError, Finding, StorageError, did_you_mean
 from robot_runner.core.plugin import Plugin

@@ -14,9 +14,10 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from robot_runner.core.config.loader import LoadedConfig, apply_overrides, raised_in
+from robot_runner.core.config.loader import LoadedConfig, apply_overrides
 from robot_runner.core.config.local_modules import local_modules_among
 from robot_runner.core.config.parameters import RunProcess, StaticParameters
+from robot_runner.core.config.raised_errors import raised_in
 from robot_runner.core.config.source import ConfigSource, parsed, read_source
 from robot_runner.core.errors import ConfigError, Finding
 from robot_runner.core.events.manager import recorded_subscriptions

@@ -155,6 +155,14 @@ def test_an_order_that_was_not_randomised_is_a_threat(two_tasks):
     assert "The order was not randomised" not in threats(two_tasks())
 
 
+def test_an_order_as_written_is_not_said_to_have_been_drawn(two_tasks):
+    """A seed is drawn all the same, for the random numbers of the runs."""
+    design = {"source": "config", "factors": {}, "repetitions": 5, "shuffle": False, "blocks": None}
+    text = markdown_of(document(two_tasks(manifest={"design": design, "seed_is_given": False, "seed": 7})), str)
+    assert "The seed 7 was drawn" in text
+    assert "order was drawn" not in text
+
+
 def test_executions_in_parts_are_told(two_tasks):
     stamps = {"started_at": "2026-01-31T12:00:00.000Z", "finished_at": "2026-01-31T13:00:00.000Z"}
     found = threats(two_tasks(manifest={"executions": [stamps, {**stamps, "deviations": {"a": 1}}]}))

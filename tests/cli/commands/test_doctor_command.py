@@ -62,6 +62,15 @@ def test_where_the_core_alone_is_installed_all_is_told_and_nothing_has_to_be_men
     assert (listed.returncode, listed.stderr) == (0, "")
 
 
+def test_a_meter_that_has_to_be_told_more_is_not_said_to_be_usable() -> None:
+    wanted = [each for each in doctor.questions() if each.name in ("CodeCarbon", "TopicLatency", "PowerModel")]
+    found = {each.name: each for each in asked(wanted)}
+    assert {name: each.state for name, each in found.items()} == dict.fromkeys(found, ABSENT)
+    assert found["CodeCarbon"].detail == "has to be told country"
+    assert found["CodeCarbon"].fix == "Try it: robot-runner try CodeCarbon --set country=..."
+    assert found["TopicLatency"].detail == "has to be told cause"
+
+
 @pytest.mark.long
 def test_an_extra_that_is_missing_is_told_with_its_packages(
     robot_runner: Callable, monkeypatch: pytest.MonkeyPatch

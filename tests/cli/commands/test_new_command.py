@@ -99,7 +99,11 @@ def test_an_existing_file_is_never_overwritten(robot_runner: Callable, tmp_path:
 
 @pytest.mark.parametrize(
     ("name", "problem"),
-    [("nowhere/experiment.py", "the file cannot be written"), ("experiment.txt", "a config is a Python file")],
+    [
+        ("nowhere/experiment.py", "the file cannot be written"),
+        ("experiment.txt", "a config is a Python file"),
+        (".", "Name it experiment.py."),
+    ],
 )
 def test_a_name_that_cannot_be_is_refused(robot_runner: Callable, tmp_path: Path, name: str, problem: str) -> None:
     answer = robot_runner("new", name)

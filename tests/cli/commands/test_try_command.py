@@ -11,6 +11,7 @@ from tests.event_deadline import enforce_deadline_in
 from robot_runner.cli import trial
 from robot_runner.core.entry_points import EntryPoint
 from robot_runner.core.plugin import installed_plugins
+from robot_runner.ros.topic_latency import TopicLatency
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -265,6 +266,15 @@ def test_a_plugin_that_needs_a_parameter_says_which_and_how_to_set_it(robot_runn
     assert "CodeCarbon: the plugin cannot be built without country" in answer.err
     assert "Add --set country=..." in answer.err
     assert "author" not in answer.err
+
+
+@pytest.mark.parametrize(
+    ("answers", "topics"), [("/plan", ("/scan", "/plan")), ("['/plan', '/cmd_vel']", ("/scan", "/plan", "/cmd_vel"))]
+)
+def test_a_parameter_of_any_number_of_values_takes_one_or_a_list(answers: str, topics: tuple[str, ...]) -> None:
+    plugin, _ = trial.make_plugin("TopicLatency", {"answers": answers, "cause": "/scan", "timeout_s": "2"})
+    assert isinstance(plugin, TopicLatency)
+    assert (plugin.topics, plugin.timeout_s) == (topics, 2)
 
 
 SYSTEM = """\

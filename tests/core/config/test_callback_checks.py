@@ -285,7 +285,7 @@ def driven_told(folder: Path, event: str, call: str, **settings: str) -> list[st
     config.write_text(LOST_BEGIN.format(head=head, body=body), encoding="utf-8")
     preparation = prepare(config, {"robot": "rosbridge://lab:9090", **settings}, is_for_here=False)
     assert preparation.experiment is not None, preparation.findings
-    return [each.problem for each in preparation.findings if "nobody stops the robot" in each.problem]
+    return [each.problem for each in preparation.findings if "nothing stops the robot" in each.problem]
 
 
 DRIVE = "connect_robot(context).publish('cmd_vel', 'geometry_msgs/TwistStamped', {'twist': {'linear': {'x': 0.2}}})"
@@ -302,7 +302,7 @@ DRIVE = "connect_robot(context).publish('cmd_vel', 'geometry_msgs/TwistStamped',
 )
 def test_a_robot_that_is_driven_in_the_orchestrator_s_process_is_told(tmp_path: Path, event: str, call: str) -> None:
     told = f"{event} drives the robot in the orchestrator's process: where that is killed meanwhile, "
-    assert driven_told(tmp_path, event, call) == [f"{told}nobody stops the robot"]
+    assert driven_told(tmp_path, event, call) == [f"{told}nothing stops the robot"]
     assert driven_told(tmp_path, event, call, robot="simulated") == []
     assert driven_told(tmp_path, event, call, run_process="in_process") == []
     assert driven_told(tmp_path, "launch_mission", call) == []

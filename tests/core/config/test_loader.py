@@ -154,6 +154,72 @@ def test_a_neighbour_that_is_called_like_a_module_of_pythons_is_to_be_renamed(
     assert finding.fix == f"Rename {tmp_path / 'queue.py'}: Python's own module of that name was imported instead."
 
 
+@pytest.mark.parametrize(
+    ("line", "fix"),
+    [
+        ("x = Factor('Task', [1])", "Import it: from robot_runner import Factor"),
+        ("x = PsUtil()", "Import it: from robot_runner.plugins.profilers import PsUtil"),
+        ("x = time.time()", "Import it: import time"),
+        ("shuffle = true", "Did you mean 'True'?"),
+        ("speeds = [0.1]\nx = sppeds[0]", "Did you mean 'speeds'?"),
+        ("x = qqqqq", "Define it, import it, or correct the name."),
+    ],
+)
+def test_a_name_that_is_not_defined_is_told_with_its_import_or_the_nearest(
+    write_config: Write, line: str, fix: str
+) -> None:
+    (finding,) = refused(write_config(head=f"{line}\nclass RobotRunnerConfig:\n    pass\n"))
+    assert finding.fix == fix
+
+
+@pytest.mark.parametrize("fault", ["x = 1 / 0", "x = (", "raise KeyError('x')"])
+def test_an_error_in_a_neighbour_is_placed_in_it(write_config: Write, tmp_path: Path, fault: str) -> None:
+    """The line of the import was to be corrected, where nothing was wrong."""
+    helper = tmp_path / "faulty_neighbour.py"
+    helper.write_text(f"y = 1\n{fault}\n")
+    path = write_config(head="import faulty_neighbour\nclass RobotRunnerConfig:\n    pass\n")
+    assert refused(path)[0].where == f"{helper}:2, from {path}:1"
+
+
+def test_a_neighbour_that_is_imported_in_place_of_pythons_own_is_to_be_renamed(
+    write_config: Write, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delitem(sys.modules, "colorsys", raising=False)
+    shadow = tmp_path / "colorsys.py"
+    shadow.touch()
+    for line in ("from colorsys import rgb_to_hsv", "import colorsys; colorsys.rgb_to_hsv"):
+        (finding,) = refused(write_config(head=f"{line}\nclass RobotRunnerConfig:\n    pass\n"))
+        assert finding.fix == f"Rename {shadow}: it is imported in place of Python's own module of that name."
+    monkeypatch.delitem(sys.modules, "colorsys", raising=False)
+
+
+def test_modules_that_import_each_other_are_told_how_to_part(write_config: Write, tmp_path: Path) -> None:
+    (tmp_path / "first_of_two.py").write_text("import second_of_two\nx = 1\n")
+    (tmp_path / "second_of_two.py").write_text("from first_of_two import x\n")
+    (finding,) = refused(write_config(head="import first_of_two\nclass RobotRunnerConfig:\n    pass\n"))
+    assert finding.fix == "Move what both modules need into a third, which both import."
+
+
+def test_a_misspelt_name_of_ours_is_told(write_config: Write) -> None:
+    (finding,) = refused(write_config(head="import robotrunner\nclass RobotRunnerConfig:\n    pass\n"))
+    assert finding.fix == "Did you mean 'robot_runner'?"
+    (finding,) = refused(write_config(head="import robot_runner.profilers\nclass RobotRunnerConfig:\n    pass\n"))
+    assert finding.fix == "Did you mean 'robot_runner.plugins.profilers'?"
+
+
+@pytest.mark.parametrize(
+    ("name", "fix"),
+    [
+        ("study.ipynb", "Have the notebook execute it by run_experiment, or save its code as study.py."),
+        ("study.txt", "Give it a name that ends in .py."),
+    ],
+)
+def test_a_file_of_another_kind_is_refused(write_config: Write, name: str, fix: str) -> None:
+    path = write_config(head='{"cells": [], "metadata": {}}\n', table="", name=name)
+    (finding,) = refused(path)
+    assert (finding.problem, finding.fix) == ("a config is a Python file, and this is none by its name", fix)
+
+
 def test_neighbours_of_the_config_can_be_imported_and_are_known(write_config: Write, tmp_path: Path) -> None:
     (tmp_path / "neighbour_module.py").write_text("NAME = 'from next door'\n")
     head = "import neighbour_module\nclass RobotRunnerConfig:\n    experiment_name = neighbour_module.NAME\n"

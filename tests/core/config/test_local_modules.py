@@ -14,6 +14,7 @@ import pytest
 
 from robot_runner.core.config.loader import load_config
 from robot_runner.core.config.local_modules import (
+    check_neighbours,
     editable_code,
     editable_folders,
     imported_files,
@@ -245,3 +246,17 @@ def test_what_is_installed_as_it_stands_is_not_kept_but_known_by_its_code(tmp_pa
     assert editable_code() == first
     (project / "src/tools_of_a_lab/more.py").write_text("NEW = 1")
     assert editable_code()["lab-tools"] != first["lab-tools"]
+
+
+def test_a_file_beside_the_config_that_takes_the_place_of_another_module_is_warned_of(tmp_path: Path) -> None:
+    """With a `numpy.py` the experiment ended in a fault of ours, and nothing named the file."""
+    names = ["random.py", "numpy.py", "test.py", "config.py", "helper.py", "queue/__init__.py", "pytest/__init__.py"]
+    for name in names:
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).touch()
+    found = {Path(each.where).name: each.problem for each in check_neighbours(tmp_path)}
+    assert found == {
+        "numpy.py": "the file is called like the installed module 'numpy', and is imported in its place",
+        "queue": "the file is called like Python's own module 'queue', and is imported in its place",
+        "random.py": "the file is called like Python's own module 'random', and is imported in its place",
+    }

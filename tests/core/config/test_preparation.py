@@ -266,9 +266,11 @@ def test_callbacks_signatures_are_checked(write_config: Write) -> None:
 @pytest.mark.parametrize(
     ("plugins", "problem"),
     [
-        ("PsUtil()", "the value is"),
+        ("PsUtil()", "the value is PsUtil(...)"),
+        ("[[PsUtil()]]", "[PsUtil(...)] is not a plugin"),
         ("[PsUtil]", "PsUtil is a class"),
         ("['PsUtil']", "'PsUtil' is not a plugin"),
+        ("[object()]", "the object of the class object is not a plugin"),
         ("[PsUtil(), PsUtil()]", "2 plugins are named 'PsUtil'"),
         ("[PsUtil(name='a/b')]", "a plugin cannot be named 'a/b'"),
     ],
@@ -371,7 +373,7 @@ def test_a_deadline_that_nobody_looks_after_is_warned_of(write_config: Write, de
         path = write_config(f"    {deadline} = 5.0\n    run_process = RunProcess.{process}\n")
         return [each.problem for each in prepare(path).findings]
 
-    problem = f"run_process is IN_PROCESS: nobody ends a run that takes longer than {deadline}"
+    problem = f"run_process is IN_PROCESS: nothing ends a run that takes longer than {deadline}"
     assert problem in told("IN_PROCESS")
     assert problem not in told("FORK")
 

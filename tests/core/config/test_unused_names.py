@@ -127,3 +127,62 @@ def test_a_subscription_uses_its_method(write_config: Write) -> None:
     def interact(self, context): ...
     """
     assert warnings(write_config(body)) == {}
+
+
+def errors(config: Path) -> list[tuple[str, str, str]]:
+    found = [finding for finding in prepare(config).findings if finding.is_error]
+    return [(each.where.rpartition(":")[2], each.problem, each.fix) for each in found]
+
+
+def test_an_event_that_stands_outside_of_the_class_is_refused(write_config: Write) -> None:
+    """A wrong indentation: nothing called it, and nothing said so."""
+    body = """
+    def start_run(self, context):
+        if True:
+            def launch_mission(self, context): ...
+    """
+    path = write_config(body)
+    path.write_text(path.read_text() + "\n\ndef before_run(self, context): ...\n")
+    lines = path.read_text().splitlines()
+    fix = "Indent it as the other methods of RobotRunnerConfig are."
+    assert errors(path) == [
+        (str(number), f"{name} stands outside of the config class, where nothing calls it", fix)
+        for number, line in enumerate(lines, 1)
+        for name in ("before_run", "launch_mission")
+        if f"def {name}" in line
+    ]
+
+
+def test_a_function_of_an_events_name_that_something_calls_may_stand_anywhere(write_config: Write) -> None:
+    head = """
+from robot_runner import *
+def before_run(self, context): ...
+def start_run(context): ...
+class Helper:
+    if True:
+        def stop_run(self): ...
+class RobotRunnerConfig(ExperimentConfig):
+    experiment_name = "trial"
+    before_run = before_run
+"""
+    assert not errors(write_config(head=head))
+
+
+@pytest.mark.parametrize("value", ["1000", "OperationType.SEMI", "[PsUtil()]", "-1", "Path('results')"])
+def test_a_value_behind_a_colon_is_refused(write_config: Write, value: str) -> None:
+    """Nothing read it: with `time_between_runs_in_ms: 60_000`, as in YAML, no robot cooled down."""
+    head = """
+from __future__ import annotations
+from pathlib import Path
+from robot_runner import *
+class RobotRunnerConfig(ExperimentConfig):
+    experiment_name = "trial"
+"""
+    path = write_config(f"time_between_runs_in_ms: {value}", head=head)
+    problem = "the colon makes it an annotation, which gives no value"
+    assert errors(path) == [("8", f"time_between_runs_in_ms: {problem}", f"Write time_between_runs_in_ms = {value}.")]
+
+
+def test_a_parameter_may_be_annotated_without_a_value(write_config: Write) -> None:
+    body = "time_between_runs_in_ms: int\nrobot: str | None\noperation_type: OperationType\nnotes: 5"
+    assert not errors(write_config(body))

@@ -53,6 +53,15 @@ def test_what_is_refused_is_reported_so_that_it_is_kept(
     assert broker.measures == {}
 
 
+@pytest.mark.parametrize("value", [float("nan"), [1], "7.5"])
+def test_what_is_refused_is_told_without_its_run_so_that_runs_that_fail_alike_share_a_line(
+    broker: MeasureBroker, value: object
+) -> None:
+    with pytest.raises(MeasureError) as refused:
+        broker.publish("Ina219", "Energy", value, Origin.MEASURED)
+    assert str(refused.value).startswith("Ina219: measure 'Energy' got ")
+
+
 def test_what_is_refused_is_kept_without_what_the_environment_keeps_secret(
     broker: MeasureBroker, reported: list[tuple[str, dict[str, Any]]], monkeypatch: pytest.MonkeyPatch
 ) -> None:

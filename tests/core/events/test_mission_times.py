@@ -45,6 +45,19 @@ def test_it_is_narrowed_by_who_knows_better(times, clock):
     assert times.window() == Window(101.0, 103.0)
 
 
+@pytest.mark.parametrize(
+    ("calls", "is_narrowed"), [([], False), (["begin_window"], True), (["stop"], False), (["end_window"], True)]
+)
+def test_a_window_is_narrowed_by_a_call_and_not_by_the_end_of_the_mission(times, clock, calls, is_narrowed):
+    times.begin()
+    clock.sleep(1.0)
+    for call in calls:
+        getattr(times, call)()
+    clock.sleep(1.0)
+    times.end()
+    assert times.is_narrowed == is_narrowed
+
+
 def test_phases_are_kept_also_where_they_raise(times, clock, records):
     times.begin()
     with times.phase("navigate"):

@@ -128,7 +128,7 @@ def _times(
         return RunTimes(lambda _: seconds, pause, hard)
     first = model.plan()[0].combination
     if durations is None or durations.of_run(first) is None:
-        problem = "nobody says how long a run takes, and none has ended"
+        problem = "how long a run takes is not known: neither the config nor an option says it, and no run has ended"
         fix = "Give --run-time 95s, or --pilot FOLDER of an experiment like it."
         raise AnalysisError(problem, where=_WHERE, fix=fix)
     mean = durations.of_run(first) or 0.0

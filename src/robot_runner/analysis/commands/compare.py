@@ -11,7 +11,7 @@ pair of treatments over all experiments, how much experiments differ, and what a
     robot-runner compare original replication --bound 5%
     robot-runner compare real simulated --rope "5 J" --measure Energy
     robot-runner compare lab_a lab_b lab_c --html combined.html
-    robot-runner compare lab_a lab_b lab_c --measure Energy=E_total --same Task=Job --same Video=video
+    robot-runner compare a b c --measure Energy=E_total --same Task=Job
 """
 
 from __future__ import annotations

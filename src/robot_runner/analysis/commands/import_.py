@@ -1,8 +1,8 @@
 """Adopt results of an earlier tool, or made by hand.
 
-The run table and the raw files in the runs' folders are read as they are; what cannot be seen is told by options, or in
-a TOML file. What was understood is shown before anything is written. The originals are never changed. Exit code 0:
-adopted (or shown, with --dry-run); 2: refused.
+The run table and the raw files in the runs' folders are read as they are; options or a TOML file give
+what cannot be seen. What was understood is shown before anything is written. The originals are never changed.
+Exit code 0: adopted (or shown, with --dry-run); 2: refused.
 """
 
 from __future__ import annotations

@@ -156,7 +156,7 @@ def _order(material: Material) -> str:
         return "The order of the runs comes from no recorded seed: the run table has it, and it is taken from there."
     if material.manifest("seed_is_given"):
         return f"The config gives seed {seed}: the order of the runs will be the same."
-    return f"The order was drawn (seed {seed}); replicating takes the same seed, so that the order will be the same."
+    return f"The seed {seed} was drawn; replicating takes the same one, so that the order of the runs will be the same."
 
 
 _MOST_GROUPS = 6

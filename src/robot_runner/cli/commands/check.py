@@ -116,7 +116,7 @@ def _seen(probe: Probe | None) -> Iterator[tuple[str, str]]:
         yield heading, f"{profiler.label}: {values}"
         heading = ""
     if probe is not None and not probe.profilers:
-        yield heading, "no profiler tells anything before the mission"
+        yield heading, "no profiler can be tried before the mission"
 
 
 def _as_json(config: str, preparation: Preparation, probe: Probe | None) -> dict[str, Any]:

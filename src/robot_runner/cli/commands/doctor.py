@@ -42,7 +42,7 @@ from robot_runner.core.config.claims import usable_cores
 from robot_runner.core.entry_points import EntryPoint
 from robot_runner.core.errors import RobotRunnerError
 from robot_runner.core.execution.left_systems import may_be_moving, robots_left
-from robot_runner.core.late_annotations import signature_of
+from robot_runner.core.late_annotations import needed_parameters, signature_of
 from robot_runner.core.links.connect import link_findings
 from robot_runner.core.links.kinds import installed_links
 from robot_runner.core.plugin import Circumstances, installed_plugins, load_plugin
@@ -289,13 +289,14 @@ def _meter(installed: EntryPoint) -> tuple[str, str, str]:
     except RobotRunnerError as error:
         return BROKEN, error.problem, error.fix
     parameters = signature_of(kind).parameters
-    needed = [name for name, each in parameters.items() if each.default is each.empty]
-    if needed:
-        return READY, f"has to be told {enumerated(needed)}", ""
+    needed = needed_parameters(kind)
+    if needed:  # it cannot be asked, so that it is not known whether its package is there
+        told = " ".join(f"--set {name}=..." for name in needed)
+        return ABSENT, f"has to be told {enumerated(needed)}", f"Try it: robot-runner try {installed.name} {told}"
     try:
         plugin = kind(**({"host": "localhost"} if "host" in parameters else {}))
     except RobotRunnerError as error:  # it needs one parameter of several
-        return READY, f"has to be told more: {error.problem}", error.fix
+        return ABSENT, f"has to be told more: {error.problem}", error.fix
     for finding in plugin.check(Circumstances(robot=_REAL_ROBOT)):
         if finding.is_error:
             return ABSENT, finding.problem, finding.fix

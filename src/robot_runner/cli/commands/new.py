@@ -47,7 +47,7 @@ def execute(arguments: Namespace) -> int:
     name = arguments.file or "experiment.py"
     path = Path(name)
     if path.suffix != ".py":
-        raise UsageError("a config is a Python file", where=name, fix=f"Name it {path.name}.py.")
+        raise UsageError("a config is a Python file", where=name, fix=f"Name it {path.name or 'experiment'}.py.")
     text = template("new_config.py").replace("{file}", _in_text(path.name))
     write_new_file(path, text, instead="Choose another name: robot-runner new NAME.py")
     console = output()

@@ -1,12 +1,12 @@
 """Have experiments executed one after another, and let them wait for each other's robots and meters.
 
-    queue add CONFIG [OPTIONS]   add an experiment, with options of `robot-runner run`
-    queue list [--json]          show what is in the queue, and who waits for whom
-    queue drop NUMBER...         take experiments out; --ended takes out all that have ended
-    queue run [NUMBER]           execute what is in the queue, or one experiment of it; --stay waits for more
+    queue add CONFIG [OPTIONS]  add an experiment, with options of `run`
+    queue list [--json]         show what is in it, and who waits for whom
+    queue drop NUMBER...        take them out; with --ended, all that ended
+    queue run [NUMBER]          execute all or one; --stay waits for more
 
 The queue is kept on the disk: `queue run` goes on after a restart. The first experiment begins whose robots and meters
-are free; a second `queue run` beside the first executes another one at once. One that fails holds up nobody.
+are free; a second `queue run` beside the first executes another one at once. One that fails holds up no other.
 """
 
 from __future__ import annotations
@@ -178,7 +178,7 @@ def _list(*, is_json: bool) -> int:
         print("The queue is empty. To add an experiment: robot-runner queue add CONFIG")
     elif left and not queue.is_attended and not any(queue.is_taken(each.number) for each in left):
         waiting = "1 experiment that waits" if len(left) == 1 else f"{len(left)} experiments that wait"
-        print(f"Nobody executes {waiting}: robot-runner queue run")
+        print(f"To execute {waiting}: robot-runner queue run")
     return 0
 
 

@@ -273,7 +273,7 @@ def _drives_without_standby(code: _LocalCode, events: EventManager) -> Iterator[
         for each in events.subscribers(event):
             if any(_commands_robot(node, called) for called in code.called_by(each) for node in called.nodes):
                 problem = f"{event.callback_name} drives the robot in the orchestrator's process: "
-                problem += "where that is killed meanwhile, nobody stops the robot"
+                problem += "where that is killed meanwhile, nothing stops the robot"
                 yield each.owner, problem, _FIX_OF_DRIVE
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import inspect
 import os
 import shutil
-import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, nullcontext, suppress
 from contextvars import ContextVar
@@ -14,9 +13,10 @@ from pathlib import Path
 from typing import Any
 
 from robot_runner.core.config.experiment import experiment_folder
-from robot_runner.core.config.loader import LoadedConfig, raised_in
+from robot_runner.core.config.loader import LoadedConfig
 from robot_runner.core.config.parameters import PARAMETERS, REQUIRED, Parameter, Parameters, RunProcess
 from robot_runner.core.config.plugin_checks import announced_findings
+from robot_runner.core.config.raised_errors import raised_in
 from robot_runner.core.config.registered_config import take_registered_seed
 from robot_runner.core.design.asking import AdaptiveDesign, decides_order
 from robot_runner.core.design.batches import as_configured
@@ -160,24 +160,6 @@ def check_names(loaded: LoadedConfig) -> list[Finding]:
         if meant is not None and meant not in names - inherited:
             findings.append(_misspelt(loaded, name, meant, is_method=is_method))
     return findings
-
-
-def check_neighbours(loaded: LoadedConfig) -> list[Finding]:
-    """Return a warning for each file beside the config that is named like a module of the standard library.
-
-    The config's folder comes first on the path, as a script's does: a `random.py` there is imported by plugins, too.
-    """
-    folder = loaded.source.path.parent
-    places = {*folder.glob("*.py"), *(each.parent for each in folder.glob("*/__init__.py"))}
-    return [
-        Finding.warning(
-            str(place),
-            f"the file is called like Python's own module {place.stem!r}, and is imported in its place",
-            f"Give it another name: my_{place.name}.",
-        )
-        for place in sorted(places)
-        if place.stem in sys.stdlib_module_names and place.stem != "test"  # nobody but Python's own tests imports that
-    ]
 
 
 def _misspelt(loaded: LoadedConfig, name: str, meant: str, *, is_method: bool) -> Finding:
@@ -394,6 +376,6 @@ def check_run_process(loaded: LoadedConfig, parameters: Parameters) -> list[Find
         found.append((problem, "Start them in start_run, or choose run_process = RunProcess.SPAWN."))
     given = [each for each in ("run_deadline_in_s", "event_deadline_in_s") if getattr(parameters, each) is not None]
     if given and parameters.run_process is RunProcess.IN_PROCESS:
-        problem = f"run_process is IN_PROCESS: nobody ends a run that takes longer than {' or '.join(given)}"
+        problem = f"run_process is IN_PROCESS: nothing ends a run that takes longer than {' or '.join(given)}"
         found.append((problem, "Leave run_process out: a run in a process of its own can be ended."))
     return [Finding.warning(loaded.where, problem, fix) for problem, fix in found]

@@ -19,6 +19,7 @@ from types import ModuleType
 from urllib.parse import unquote, urlsplit
 
 from robot_runner.core.config.source import tree_of
+from robot_runner.core.errors import Finding
 from robot_runner.core.treatments import CONFIG_MODULE
 
 #: Python's modules and ours, which may be below the config's folder, too, if that is the home folder.
@@ -176,6 +177,22 @@ def _files_of(module: str, places: Sequence[str], within: Path) -> Iterator[tupl
         if path.is_file():
             yield path, within / _PACKAGE if path.name == _PACKAGE else within.with_name(path.name)
         places = list(spec.submodule_search_locations or ())
+
+
+def check_neighbours(folder: Path) -> list[Finding]:
+    """Return a warning for each file beside a config that is named like a module of Python's, or an installed one.
+
+    The config's folder comes first on the path, as a script's does: a `random.py` there is imported by plugins, too.
+    """
+    installed = [each for each in sys.path if _is_installed(Path(each, "_"))]
+    places = {*folder.glob("*.py"), *(each.parent for each in folder.glob("*/__init__.py"))}
+    found = []
+    for place in sorted(places - {folder / "test.py", folder / "test"}):  # only Python's own tests import that one
+        kind = "Python's own" if place.stem in sys.stdlib_module_names else "the installed"
+        if kind == "Python's own" or (place.suffix == ".py" and PathFinder.find_spec(place.stem, installed)):
+            problem = f"the file is called like {kind} module {place.stem!r}, and is imported in its place"
+            found.append(Finding.warning(str(place), problem, f"Give it another name: my_{place.name}."))
+    return found
 
 
 def editable_code() -> dict[str, str]:

@@ -10,8 +10,9 @@ from itertools import islice
 from math import prod
 from typing import Any, TypeVar
 
-from robot_runner.core.config.loader import LoadedConfig, place_in
+from robot_runner.core.config.loader import LoadedConfig
 from robot_runner.core.config.parameters import Parameters
+from robot_runner.core.config.raised_errors import place_in
 from robot_runner.core.design.numeric_range import is_number
 from robot_runner.core.design.run_table_model import RunTableModel
 from robot_runner.core.entry_points import EntryPoint, entry_points, instances_of
@@ -66,7 +67,7 @@ def companions(parameters: Parameters, plugins: Sequence[Plugin]) -> tuple[tuple
 def check_plugins(
     plugins: Sequence[Plugin],
     model: RunTableModel | None,
-    robot: Any,
+    robot: str | None,
     robots: Sequence[str] = (),
     unbuilt: Sequence[str] = (),
 ) -> list[Finding]:
@@ -81,7 +82,7 @@ def check_plugins(
     """
     factors = {factor.name: factor.treatments for factor in model.factors} if model else {}
     listed = [*(each.name for each in plugins), *unbuilt]
-    around = Circumstances(robot if isinstance(robot, str) else None, factors, listed=listed, robots=robots)
+    around = Circumstances(robot, factors, listed=listed, robots=robots, has_run_table=model is not None)
     findings: list[Finding] = []
     for plugin in plugins:
         if model is not None and factors_of(plugin):
@@ -185,8 +186,13 @@ def _listed(loaded: LoadedConfig, findings: list[Finding]) -> Iterable[Plugin]:
             name = plugin.__name__
             findings.append(Finding.error(where, f"{name} is a class, not a plugin", f"Write {name}()."))
         else:
-            fix = "Give instances of System or Profiler (robot_runner.plugins)."
-            findings.append(Finding.error(where, f"{plugin!r} is not a plugin", fix))
+            shown, fix = repr(plugin), "Give instances of System or Profiler (robot_runner.plugins)."
+            if isinstance(plugin, str) and plugin.isidentifier():
+                fix = f"Import it, and write {plugin}() without quotes."
+            elif " object at 0x" in shown:
+                shown = f"the object of the class {type(plugin).__name__}"
+                fix = f"Derive {type(plugin).__name__} from System or Profiler (robot_runner.plugins)."
+            findings.append(Finding.error(where, f"{shown} is not a plugin", fix))
 
 
 def _instantiated(loaded: LoadedConfig, activated: type[Plugin], findings: list[Finding]) -> list[Plugin]:

@@ -23,6 +23,7 @@ from robot_runner.core.config.experiment import (
 )
 from robot_runner.core.config.graph_checks import GraphCheck
 from robot_runner.core.config.loader import LoadedConfig
+from robot_runner.core.config.local_modules import check_neighbours
 from robot_runner.core.config.notify import check_notify
 from robot_runner.core.config.operator_checks import check_operator_steps
 from robot_runner.core.config.operator_steps import operator_measures
@@ -30,6 +31,7 @@ from robot_runner.core.config.parameters import Parameters
 from robot_runner.core.config.plugin_checks import check_plugins, companions, gather_plugins, unbuilt_names
 from robot_runner.core.config.registered_config import check_registration, registered
 from robot_runner.core.config.treatment_makers import maker_findings
+from robot_runner.core.config.undefined_names import check_undefined_names
 from robot_runner.core.config.unused_names import check_unused_names
 from robot_runner.core.design.batches import as_configured
 from robot_runner.core.design.precision import most_repetitions
@@ -185,7 +187,9 @@ def prepare(
         findings += check_workers(loaded.where, parameters, plugins, events, model)
     if is_for_here:
         findings += _check_machine(loaded, parameters, plugins, complete, events if looks_at_graph else None)
-    # Two checks may have the same finding.
+    # Two checks may have the same finding, one of them as an error.
+    refused = {(each.where, each.fix) for each in findings if each.is_error}
+    findings = [each for each in findings if each.is_error or (each.where, each.fix) not in refused]
     ordered = tuple(errors_first(dict.fromkeys(findings)))
     if any(finding.is_error for finding in ordered) or parameters is None or model is None:
         return Preparation(None, ordered)
@@ -235,11 +239,11 @@ def _with_all_factors(model: RunTableModel | None) -> RunTableModel | None:
 
 
 def _name_findings(loaded: LoadedConfig) -> list[Finding]:
-    """Return findings on names of a config that are misspelt or unused."""
+    """Return findings on names of a config that are misspelt, unused or not defined."""
     refused = checks.check_names(loaded)
     places = {finding.where for finding in refused}
     dead = [finding for finding in check_unused_names(loaded) if finding.where not in places]
-    return [*refused, *dead, *checks.check_neighbours(loaded)]
+    return [*refused, *dead, *check_undefined_names(loaded), *check_neighbours(loaded.source.path.parent)]
 
 
 def _check_machine(
@@ -277,7 +281,7 @@ def _robot_first(
 ) -> Iterator[Finding]:
     """Yield the findings on the robot, then those of the plugins, which are checked with the robot that was meant.
 
-    Otherwise each plugin would report a misspelt name of the robot, too.
+    Otherwise each plugin would report a misspelt name of the robot, or one of a wrong type, too.
     """
     if parameters is not None:
         yield from check_robot(loaded, parameters, plugins)
@@ -286,9 +290,9 @@ def _robot_first(
         yield from _cold_robots(len(parameters.robots), None if model is None else model.warm_up)
         links = parameters.links
         yield from _of_each(parameters.robots, lambda link: check_plugins(plugins, model, link, links, unbuilt))
-    elif not isinstance(robot, str):
-        yield from check_plugins(plugins, model, robot, unbuilt=unbuilt)
-    elif (meant := meant_robot(robot)) is not None:
+    elif robot is None:
+        yield from check_plugins(plugins, model, None, unbuilt=unbuilt)
+    elif isinstance(robot, str) and (meant := meant_robot(robot)) is not None:
         found = check_plugins(plugins, model, meant, unbuilt=unbuilt)
         yield from found if parameters is None or parameters.cluster is None else map(_left_to_workers, found)
 

@@ -100,7 +100,7 @@ def tree_of(path: Path) -> ast.Module:
 
 def _read(path: Path) -> str:
     try:
-        return decode_source(path.read_bytes())
+        text = decode_source(path.read_bytes())
     except FileNotFoundError as error:
         raise ConfigError("there is no such file", where=str(path), fix=_other_file(path)) from error
     except IsADirectoryError as error:
@@ -115,6 +115,11 @@ def _read(path: Path) -> str:
     except OSError as error:
         refusal = storage_error(path, "read", error)
         raise ConfigError(refusal.problem, where=refusal.where, fix=refusal.fix) from error
+    if path.suffix == ".py":
+        return text
+    by_run = f"Have the notebook execute it by run_experiment, or save its code as {path.stem}.py."
+    fix = by_run if path.suffix == ".ipynb" else "Give it a name that ends in .py."
+    raise ConfigError("a config is a Python file, and this is none by its name", where=str(path), fix=fix)
 
 
 def _config_of(folder: Path) -> str:

@@ -1,4 +1,4 @@
-"""Warnings for methods and attributes of a config that look like ours, or an earlier tool's, and are never used."""
+"""Findings on methods and attributes of a config that look like ours, or an earlier tool's, and are never used."""
 
 from __future__ import annotations
 
@@ -94,17 +94,18 @@ _UNIT_OF_TIME = re.compile(r"_(?:in_)?(?:m?s|secs?|min|(?:milli)?seconds?|minute
 
 
 def check_unused_names(loaded: LoadedConfig) -> list[Finding]:
-    """Return a warning for each public name of the config that looks like ours and is never called or read.
+    """Return a finding for each public name of the config that looks like ours and is never called or read.
 
     Configs of other dialects, which have their own names, are checked by their rooms.
     """
     config_class = type(loaded.config)
     if config_class.__name__ != loaded.source.class_name:
         return []
-    used = _used_names(loaded)
+    tree, used = tree_of(loaded.source.path), _used_names(loaded)
+    found = list(_valueless(loaded, tree))
     if used is None:
-        return []
-    found = []
+        return found
+    found += _outside_of_the_class(loaded, tree, used)
     for name in sorted(_own_names(config_class) | set(getattr(loaded.config, "__dict__", ()))):
         if name.startswith("_") or name in used or name in _LIVE:
             continue
@@ -116,7 +117,47 @@ def check_unused_names(loaded: LoadedConfig) -> list[Finding]:
     return found
 
 
-_LIVE = frozenset({*PARAMETERS, *EVENTS_BY_CALLBACK, "plugins", "create_run_table"})
+def _outside_of_the_class(loaded: LoadedConfig, tree: ast.AST, used: set[str]) -> Iterator[Finding]:
+    """Yield an error for each function that looks like a callback, and is no method by its indentation."""
+    for each in _functions_of_no_class(tree):
+        first = [argument.arg for argument in each.args.args[:1]]
+        if each.name in _CALLED and first == ["self"] and each.name not in used and not each.decorator_list:
+            problem = f"{each.name} stands outside of the config class, where nothing calls it"
+            fix = f"Indent it as the other methods of {loaded.source.class_name} are."
+            yield Finding.error(f"{loaded.source.path}:{each.lineno}", problem, fix)
+
+
+def _functions_of_no_class(node: ast.AST, *, is_in_class: bool = False) -> Iterator[ast.FunctionDef]:
+    for each in ast.iter_child_nodes(node):
+        if isinstance(each, ast.FunctionDef) and not is_in_class:
+            yield each
+        is_scope = isinstance(each, ast.ClassDef | ast.FunctionDef)
+        yield from _functions_of_no_class(each, is_in_class=isinstance(each, ast.ClassDef) if is_scope else is_in_class)
+
+
+def _valueless(loaded: LoadedConfig, tree: ast.AST) -> Iterator[Finding]:
+    """Yield an error for each parameter with a value in the place of its annotation."""
+    for node in ast.walk(tree):
+        match node:
+            case ast.AnnAssign(target=ast.Name(id=name), annotation=value, value=None) if name in _LIVE:
+                if _is_no_type(value) and name not in vars(loaded.config):
+                    problem = f"{name}: the colon makes it an annotation, which gives no value"
+                    fix = f"Write {name} = {ast.unparse(value)}."
+                    yield Finding.error(f"{loaded.source.path}:{node.lineno}", problem, fix)
+
+
+def _is_no_type(annotation: ast.expr) -> bool:
+    match annotation:
+        case ast.Constant(value=value):
+            return isinstance(value, int | float)
+        case ast.Attribute(attr=name):  # of an enum
+            return name.isupper()
+        case _:
+            return isinstance(annotation, ast.List | ast.Tuple | ast.Dict | ast.Call | ast.UnaryOp)
+
+
+_CALLED = frozenset({*EVENTS_BY_CALLBACK, "create_run_table"})
+_LIVE = frozenset({*PARAMETERS, *_CALLED, "plugins"})
 
 
 def _own_names(config_class: type) -> set[str]:

@@ -230,8 +230,9 @@ def takes_a_context(name: str, callback: Callback, owner: str) -> bool:
         problem = f"{name} is {what}: its body would never be executed"
         raise ConfigError(problem, where=f"{owner}, {place_of(callback)}", fix=fix)
     code = getattr(getattr(callback, "__func__", None), "__code__", None)  # of a method
-    if code is not None and code.co_varnames[: code.co_argcount][:1] == ("context",):
-        problem = f"{name} has no self, so that what it calls context is not the context"
+    first = None if code is None or code.co_flags & inspect.CO_VARARGS else code.co_varnames[: code.co_argcount][:1]
+    if first in {("context",), ()}:
+        problem = f"{name} has no self" + (", so that what it calls context is not the context" if first else "")
         raise ConfigError(problem, where=f"{owner}, {place_of(callback)}", fix=f"Write def {name}(self, context).")
     try:
         signature = signature_of(callback)

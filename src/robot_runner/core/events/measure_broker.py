@@ -79,11 +79,11 @@ class MeasureBroker:
         """
         if not isinstance(origin, measure.Origin):
             fix = did_you_mean(str(origin), map(str, measure.Origin))
-            raise MeasureError(f"{origin!r} is not an origin", where=f"{owner}, run {self._run_id}", fix=fix)
+            raise MeasureError(f"{origin!r} is not an origin", where=owner, fix=fix)
         try:
             column = self._columns.column_for(owner, name)
-            plain = measure.as_measure_value(column.name, value, where=f"{owner}, run {self._run_id}")
-            _refuse_text_with_unit(column, plain, where=f"{owner}, run {self._run_id}")
+            plain = measure.as_measure_value(column.name, value, where=owner)
+            _refuse_text_with_unit(column, plain, where=owner)
         except MeasureError:
             refused = without_environment_secrets(measure.shown(value))
             self._report("refused", {"owner": owner, "name": str(name), "value": refused})

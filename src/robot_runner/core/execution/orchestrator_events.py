@@ -6,15 +6,17 @@ import os
 import select
 import signal
 import time
+import traceback
 from collections.abc import Callable
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, replace
+from pathlib import Path
 from types import FrameType
 from typing import Any, Self
 
 from robot_runner.core.config.experiment import Experiment
 from robot_runner.core.design.watched_combination import WatchedCombination
-from robot_runner.core.errors import ExecutionError, Finding, StorageError
+from robot_runner.core.errors import ExecutionError, Finding, RobotRunnerError, StorageError
 from robot_runner.core.events.context import ExperimentContext, ExperimentEnd, NextRun, RobotRunnerContext, SystemClock
 from robot_runner.core.events.early_end import RunInterrupted, undivided
 from robot_runner.core.events.manager import CallbackFailure, Emission, RobotRunnerEvents, Subscriber
@@ -31,7 +33,7 @@ from robot_runner.core.execution.run_records import failure_fields
 from robot_runner.core.execution.task import OutcomeBuilder, PendingRun, Report, RunTask, seed_of_run
 from robot_runner.core.secret_names import sentences_without_secrets
 from robot_runner.core.storage.journal import utc_now
-from robot_runner.core.treatments import bind
+from robot_runner.core.treatments import CONFIG_MODULE, bind
 
 #: How many times over `grace_in_s` a callback may take to end once its deadline has passed.
 _PATIENCE = 3
@@ -369,5 +371,13 @@ class OngoingExperiment:
 
 
 def _fields(failure: CallbackFailure) -> dict[str, str]:
-    fields = failure_fields(failure.error)
-    return {**fields, "problem": str(failure.error)} if isinstance(failure.error, DeadlinePassed) else fields
+    """Return the fields of a failure; its problem names the line of the config, as no log has this traceback."""
+    fields, error = failure_fields(failure.error), failure.error
+    if isinstance(error, DeadlinePassed):
+        return {**fields, "problem": str(error)}
+    if isinstance(error, RobotRunnerError | RunInterrupted):  # its text says all
+        return fields
+    frames = [each for each in traceback.walk_tb(error.__traceback__) if each[0].f_globals["__name__"] == CONFIG_MODULE]
+    for frame, line in frames[-1:]:
+        fields["problem"] += f" ({Path(frame.f_code.co_filename).name}:{line})"
+    return fields

@@ -22,7 +22,6 @@ SIMULATED = "simulated"
 
 #: A robot that is not reached after so long, s, does not answer.
 _SILENCE = 1.0
-_SIMULATE = f"Execute it on the embedded robot: --set robot={SIMULATED}."
 
 
 def link_findings(robot: str | None) -> list[Finding]:
@@ -305,7 +304,8 @@ def resolved_robot(robot: str) -> tuple[kinds.RobotLinkKind, RobotName]:
         return resolved_robot(_found(kind, robot).name)
     if kind is not None:
         return kind, _with_namespace(robot, name if name.address is None or kind.takes_address else name.on_graph)
-    fix = did_you_mean(robot.partition(":")[0], kinds.installed_links(), _SIMULATE)
+    links = kinds.installed_links()
+    fix = did_you_mean(robot.partition(":")[0], links, f"Choose one of {', '.join(links)}: --set robot={SIMULATED}.")
     raise LinkError(f"robot is {robot!r}, which is not a link of this version", where="robot", fix=fix)
 
 
