@@ -291,6 +291,24 @@ def test_the_secret_of_the_links_can_be_read_by_its_user_alone_from_the_first_mo
 
 
 @pytest.mark.long
+def test_whoever_sends_what_is_no_request_prints_nothing_into_the_terminal(
+    serve_page: Callable[..., ServedPage], tmp_path: Path
+) -> None:
+    page = serve_page(tmp_path)
+    for sent in (
+        b"\x16\x03\x01 TLS\r\n\r\n",
+        b"GET / HTTP/1.1\r\nHost: a\r\nConnection: upgrade\r\nUpgrade: x\r\n\r\n",
+    ):
+        with socket.create_connection(("127.0.0.1", page.port), timeout=20) as connection:
+            connection.sendall(sent)
+            assert connection.recv(100)
+    process, page.process = page.process, None
+    assert process is not None
+    process.terminate()
+    assert process.communicate(timeout=20)[0].strip() == ""
+
+
+@pytest.mark.long
 def test_new_links_make_the_old_ones_void(serve_page: Callable[..., ServedPage], tmp_path: Path) -> None:
     state = tmp_path / "state"
     with pytest.MonkeyPatch.context() as patch:

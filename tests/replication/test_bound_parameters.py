@@ -97,7 +97,7 @@ def test_a_factor_tells_what_is_bound_to_it_and_who_read_it(either: Path) -> Non
     read = facts_of(either, "r_1", "Load")
     assert read["Read by"] == "config"
     assert "Bound to" not in read
-    assert facts_of(either, "r_1", "Floor")["Read by"] == "nobody: no callback and no plugin looked at it"
+    assert facts_of(either, "r_1", "Floor")["Read by"] == "no callback and no plugin looked at it"
 
 
 def test_a_factor_that_nobody_read_is_a_threat_to_validity(either: Path) -> None:

@@ -74,3 +74,19 @@ def test_results_go_to_a_folder_outside_the_package():
     assert build == "podman build -t energy-of-tasks package"
     assert '-v "$HOME/energy-of-tasks":/results' in start
     assert image_name("!?") == "experiment"
+
+
+@pytest.mark.parametrize(
+    "manifest",
+    [
+        {"experiment_name": "trial\nRUN touch /seen"},
+        {"software": {"python": "3\nRUN touch /seen"}},
+        {"software": {"robot_runner": "1'\nRUN touch /seen"}},
+        {"ros": {"distro": "jazzy\nRUN touch /seen", "version": 2}},
+        {"ros": {"distro": "humble", "version": "2\nRUN touch /seen"}, "software": {"python": "3; touch /seen"}},
+    ],
+)
+def test_what_a_strangers_manifest_says_is_no_instruction(manifest):
+    """Whoever packs another's experiment gave the image instructions that its manifest named in place of a version."""
+    words = containerfile(manifest, has_wheels=False).splitlines()
+    assert not [line for line in words if "touch" in line and not line.startswith("# An image")]

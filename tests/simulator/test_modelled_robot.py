@@ -156,6 +156,14 @@ def test_a_model_has_no_power_meter_and_no_computer(simulate):
         (ROVER, {"left": "lef_wheel", "right": "right_wheel"}, "left='lef_wheel' is not a joint"),
         (ROVER.replace('pos="0 -0.15 0"', 'pos="0 0.15 0"'), {}, "are 0 m apart"),
         (ROVER, {"mass": "5", "floor_slope": "20"}, "floor_slope and mass would have no effect"),
+        *(
+            (
+                ROVER.replace("<worldbody>", f'<option timestep="{step}"/><worldbody>', 1),
+                {},
+                "the time step of the model is",
+            )
+            for step in ("0", "nan", "-0.002", "1e-12")
+        ),
     ],
 )
 def test_a_model_that_cannot_be_driven_is_a_finding(tmp_path, text, options, problem):

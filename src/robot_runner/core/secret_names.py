@@ -159,6 +159,20 @@ def without_secrets(value: Any) -> Any:
     return _masked(value, secrets_of_environment())
 
 
+#: A setting in an address; in those of many cameras they follow a slash.
+_SETTING = re.compile(r"(?<=[?&;/])([\w.-]+)=([^&;\s'\"]+)")
+
+
+def without_secret_settings(text: str, instead: str = REDACTED) -> str:
+    """Return a text without the secrets that are settings in its addresses.
+
+    Example:
+        >>> without_secret_settings("rtsp://camera/user=lab&password=swordfish&channel=1")
+        'rtsp://camera/user=lab&password=REDACTED&channel=1'
+    """
+    return _SETTING.sub(lambda found: f"{found[1]}={instead}" if is_secret_name(found[1]) else found[0], text)
+
+
 def _masked(value: Any, hidden: tuple[str, ...]) -> Any:
     match value:
         case None | bool() | int() | float():
@@ -183,7 +197,9 @@ def sentences_without_secrets(fields: dict[str, Any]) -> dict[str, Any]:
 
     Names, treatments and measures are not changed: they are data, and may be equal to a password by chance.
     """
-    return fields | {name: without_secrets(fields[name]) for name in _HIDING & fields.keys()}
+    return fields | {
+        name: without_secrets(each) for name in _HIDING & fields.keys() if (each := fields[name]) is not None
+    }
 
 
 def forms_of(secret: str) -> set[str]:

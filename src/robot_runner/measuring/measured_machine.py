@@ -107,6 +107,6 @@ def _on_board(where: str, robot: str | None, *, has_selection: bool) -> list[Fin
     if not is_simulated(robot):
         return [Finding.error(where, "the plugin measures a computer, and none is named", _NAME_ONE)]
     if has_selection:
-        problem = "the computer of a simulated robot does not tell of single processes or cores"
+        problem = "the computer of a simulated robot does not report single processes or cores"
         return [Finding.error(where, problem, "Leave processes and cores out.")]
     return []

@@ -27,7 +27,7 @@ _NO_PROCESS = (
 )
 _ENDED = "Have it end after the mission, or take the CPUTime of Program(..., per='mission'), which is exact."
 _LATE = "Start it before the mission, or measure a computer that has a Python 3 (hosts.md)."
-_RESIDENT = "ps tells the memory of processes only: Memory lacks the kernel's, and counts shared pages repeatedly"
+_RESIDENT = "ps reports the memory of processes only: Memory lacks the kernel's, and counts shared pages repeatedly"
 _BETTER_FORM = "Install python3 there, or leave form out."
 _CORES = "Name cores that are switched on: /sys/devices/system/cpu/online has their numbers."
 
@@ -160,7 +160,7 @@ class Utilisation:
         if self.report.form == FORMS["ps"].description and self.window.duration > 0:
             off = _PS_STEP / self.window.duration * 100
             problem = (
-                f"ps tells CPU time in whole seconds: over {self.window.duration:.1f} s, utilisation may be off by "
+                f"ps reports CPU time in whole seconds: over {self.window.duration:.1f} s, utilisation may be off by "
                 f"{off:.0f} % of a core for each process"
             )
             yield Doubt(problem)
@@ -183,9 +183,9 @@ class Utilisation:
                 )
                 yield Doubt(f"{problem}; {self._looks}", names[1:], _LATE)
         for core in self.selection.cores:
-            problem = f"the computer tells of core {core} for a part of the window only: it was switched off meanwhile"
+            problem = f"the computer reports core {core} for a part of the window only: it was switched off meanwhile"
             if self.samples and not self._tells_of(core):
-                yield Doubt(f"the computer tells of no core {core}", (f"CPU_core{core}",), _CORES)
+                yield Doubt(f"the computer reports no core {core}", (f"CPU_core{core}",), _CORES)
             elif self.quality.is_sufficient and not self._covers(core):
                 yield Doubt(problem, (f"CPU_core{core}",), _CORES)
 

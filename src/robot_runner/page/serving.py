@@ -100,6 +100,7 @@ class Serving:
         import uvicorn  # noqa: PLC0415 - of the extra
 
         from robot_runner.page.page_server import LivePage, PageSettings  # noqa: PLC0415
+        from robot_runner.page.timed_connection import TimedConnection  # noqa: PLC0415
 
         settings = PageSettings(
             self.folder, self.port, self.names, self.keys, is_read_only=self.is_read_only, is_one=self.is_one
@@ -107,11 +108,12 @@ class Serving:
         config = uvicorn.Config(
             LivePage(settings).app,
             log_config=None,
+            log_level="error",  # nobody is to fill the terminal
             access_log=False,
             proxy_headers=False,
             server_header=False,
             ws="none",
-            http="h11",
+            http=TimedConnection,
             interface="asgi3",
             loop="asyncio",
             limit_concurrency=_MOST_CONNECTIONS,

@@ -7,9 +7,12 @@ from collections.abc import Mapping
 from typing import Any
 
 from robot_runner.core.errors import PackageError
+from robot_runner.core.words import one_line
 
 #: The name of an image with a tag, a digest or both, in the form of the Open Container Initiative's distribution.
 _IMAGE = re.compile(r"[\w][\w.\-/:]{0,254}(@sha256:[0-9a-f]{64})?", re.ASCII)
+#: A version, or the name of a distribution of ROS.
+_WORD = re.compile(r"[\w.+!-]+", re.ASCII)
 #: The distributions of ROS whose Python is too old for Robot Runner (REP 3, REP 2000): another Python is installed.
 _ROS_WITH_OLD_PYTHON = frozenset({"kinetic", "melodic", "noetic", "dashing", "eloquent", "foxy", "galactic", "humble"})
 
@@ -100,20 +103,20 @@ def containerfile(
         image: the base image; None for the official one of the experiment's Python or ROS.
     """
     ros, software = manifest.get("ros") or {}, manifest.get("software") or {}
-    is_ros = bool(ros.get("distro")) and not str(manifest.get("robot") or "").startswith("simulated")
+    is_ros = bool(_word(ros.get("distro"))) and not str(manifest.get("robot") or "").startswith("simulated")
     facts = {
-        "python": ".".join(str(software.get("python") or "3.11").split(".")[:2]),
-        "distro": ros.get("distro"),
-        "version": ros.get("version"),
+        "python": ".".join(_word(software.get("python"), "3.11").split(".")[:2]),
+        "distro": _word(ros.get("distro")),
+        "version": _word(ros.get("version")),
     }
     facts["image"] = image or (_ROS_IMAGE if is_ros else _PYTHON_IMAGE).format(**facts)
     base = _ROS_BASE if is_ros else _PYTHON_BASE
     if is_ros and facts["distro"] in _ROS_WITH_OLD_PYTHON:
         base += _NEWER_PYTHON
     links = " --find-links environment/wheels" if has_wheels else ""
-    apart = _COMPARISON.format(links=links, version=software.get("robot_runner") or "0")
+    apart = _COMPARISON.format(links=links, version=_word(software.get("robot_runner"), "0"))
     return _CONTAINERFILE.format(
-        name=manifest.get("experiment_name", "experiment"),
+        name=one_line(str(manifest.get("experiment_name", "experiment"))),
         pin=_PINNED if is_pinned(str(facts["image"])) else _NOT_PINNED,
         base=base.format(**facts),
         alone=" --no-deps" if demands_hashes else "",
@@ -122,6 +125,12 @@ def containerfile(
         program=f"/opt/{'robot-runner' if has_comparison else 'comparison'}/bin/robot-runner",
         environment="here" if has_comparison else "/opt/robot-runner",
     )
+
+
+def _word(said: object, otherwise: str = "") -> str:
+    """Return what a manifest says where it is one word: a line feed in it would be an instruction of its own."""
+    text = str(said or "")
+    return text if _WORD.fullmatch(text) else otherwise
 
 
 def image_name(experiment: str) -> str:

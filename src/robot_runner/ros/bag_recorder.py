@@ -175,7 +175,7 @@ def recording(encoding: Encoding, topics: Sequence[str]) -> list[str]:
 def _unpacked(command: Sequence[str], folder: Path) -> str | None:
     """Unpack the archive that a host writes, as it comes, since a bag may be large; return what went wrong."""
     with tempfile.TemporaryFile() as said, _started(command, said) as sent:
-        unpacking = ["sh", "-c", f'{_PASS_LOGIN}; exec tar -C "$1" -xf -', "sh", str(folder)]
+        unpacking = ["sh", "-c", f'{_PASS_LOGIN}; exec tar -C "$1" -xof - --no-same-permissions', "sh", str(folder)]
         try:
             unpacked = subprocess.run(  # noqa: S603  # an argument list
                 unpacking, stdin=sent.stdout, capture_output=True, timeout=_FETCH, check=False

@@ -156,8 +156,8 @@ _LOOK = 0.05
 #: share (cyclonedds/qos.py, `_gc_…`), so that two links at once read the QoS and user data of each other's endpoints.
 READING_QOS = threading.Lock()
 
-#: After this many failures to take samples a reader is broken.
-_MOST_FAULTS = 10
+#: After this many failures to take samples, one after the other, a reader is broken.
+_MOST_FAULTS = 100
 
 
 def delete(entity: Any) -> None:
@@ -166,12 +166,25 @@ def delete(entity: Any) -> None:
 
 
 class Source:
-    """A reader whose samples are handed to `handler`, one by one."""
+    """A reader whose samples are handed to `handler`, one by one.
 
-    def __init__(self, reader: Any, handler: Callable[[Any], None], where: str) -> None:
+    Where it keeps `depth` samples at most, `overrun` is called once that many have waited: it may have dropped some.
+    """
+
+    def __init__(
+        self,
+        reader: Any,
+        handler: Callable[[Any], None],
+        where: str,
+        *,
+        depth: int = 0,
+        overrun: Callable[[], None] = lambda: None,
+    ) -> None:
         self.reader = reader
         self.handler = handler
         self.where = where
+        self.depth = depth
+        self.overrun = overrun
         self.condition = ReadCondition(reader, _ANY)
         self.is_open = True
         self.is_busy = False
@@ -329,28 +342,43 @@ class Reception:
             self._turned.notify_all()
 
     def _take(self, source: Source, most: int = _BATCH) -> None:
+        if not isinstance(source.reader, BuiltinDataReader):
+            self._take_at_once(source, most)
+            return
+        # cyclonedds cannot always make an object of what is announced, and loses all that it takes with it.
+        while most and source.is_open and self._take_at_once(source, 1):
+            most -= 1
+
+    def _take_at_once(self, source: Source, most: int) -> bool:
+        """Handle samples, and return whether there were any."""
         is_discovery = isinstance(source.reader, BuiltinDataReader)
         try:
             with READING_QOS if is_discovery else nullcontext():
-                samples = source.reader.take(most)
+                samples = source.reader.take(max(most, source.depth))
         except DDSException:
             if source.is_open and not self._is_closed:  # a callback may close the link
                 raise
-            return
-        except Exception:  # cyclonedds cannot always make an object of what a leaving participant announces
+            return False
+        except Exception:
             source.faults += 1
             if source.faults > _MOST_FAULTS:
                 raise
             _logger.exception("a sample of %s cannot be read", source.where)
-            return
+            return True
+        source.faults = 0
+        if 0 < source.depth <= len(samples):
+            source.overrun()
+            del samples[1:]  # one is enough to fail by, and images fill the memory
+        had_any = bool(samples)
         source.is_busy = True
-        for sample in samples:
-            if source.is_open:
-                self._do(source, partial(source.handler, sample))
+        samples.reverse()
+        while samples and source.is_open:  # each is forgotten once it was handled
+            self._do(source, partial(source.handler, samples.pop()))
         source.is_busy = False
         if source.afterwards is not None:
             act, source.afterwards = source.afterwards, None
             self._do(source, act)
+        return had_any
 
     def _do(self, source: Source, act: Callable[[], None]) -> None:
         try:

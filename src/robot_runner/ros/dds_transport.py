@@ -27,7 +27,7 @@ from robot_runner.ros.graph_transport import (
     check_type,
     service_timeout,
 )
-from robot_runner.ros.qos_policies import reachable, unmet_demand
+from robot_runner.ros.qos_policies import KEPT, reachable, unmet_demand
 from robot_runner.ros.ros2_actions import Ros2Actions
 
 if TYPE_CHECKING:
@@ -282,7 +282,7 @@ class _Subscription:
         if self._session.is_alone():
             return self._session.loneliness()
         if not self._session.graph.writers(self._wire_topic):
-            return "Nobody publishes it: start the node that does."
+            return "No node publishes it: start the one that does."
         return ""
 
     def adapt(self, writer: Endpoint) -> None:
@@ -332,7 +332,14 @@ class _Subscription:
 
     def _reading(self) -> Any:
         reader = self._session.reader(self._wire_topic, self._wire_type, self._asked)
-        return Source(reader, self._receive, self._topic)
+        # A profile of one's own may drop; and a topic that keeps messages may send as many to a late subscriber.
+        depth = 0 if self._qos is not None or policies_of(self._asked).is_kept else KEPT
+        return Source(reader, self._receive, self._topic, depth=depth, overrun=self._overrun)
+
+    def _overrun(self) -> None:
+        problem = f"callbacks are too slow: {KEPT:,} messages waited for them, and more may be lost"
+        fix = "Have them return sooner, or do their work after the mission, on a bag of it (RosBag)."
+        self.misfit = self.misfit or LinkError(problem, where=self._topic, fix=fix)
 
     def _end(self, source: Any) -> None:
         self._session.nodes.remove(source.reader.guid)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
@@ -53,6 +55,7 @@ class RecordedTopic:
         count: how many messages of it there are.
         qos: the profile that comes nearest to what its publishers offered.
         problem: why its messages cannot be read; empty where they can.
+        remedy: what helps then.
     """
 
     name: str
@@ -60,6 +63,7 @@ class RecordedTopic:
     count: int
     qos: Qos
     problem: str = ""
+    remedy: str = "record a bag that holds the definition"
 
 
 class RecordedMessage(NamedTuple):
@@ -129,7 +133,7 @@ class RecordedBag(OpenedBag):
         """
         there = {name: topic for name, topic in self.topics.items() if topic.count}
         if not there and self.count:
-            problem = f"the bag has {counted(self.count, 'message')}, but its index tells of no topic"
+            problem = f"the bag has {counted(self.count, 'message')}, but its index names no topic"
             raise PluginError(problem, where=str(self.path), fix=_repair(self.path))
         if not there:
             raise PluginError("the bag has no messages", where=str(self.path), fix="Record it again.")
@@ -144,7 +148,7 @@ class RecordedBag(OpenedBag):
         for topic in topics:
             if topic.problem:
                 others = f": topics={left}" if 0 < len(left) <= _FEW else " (topics=...)"
-                fix = f"Leave {topic.name} out{others}, or record a bag that holds the definition."
+                fix = f"Leave {topic.name} out{others}, or {topic.remedy}."
                 faults.append(PluginError(topic.problem, where=str(self.path), fix=fix))
         if faults:
             raise PluginError.of_findings([each.as_finding() for each in faults])
@@ -193,6 +197,12 @@ class RecordedBag(OpenedBag):
             if len(types) > 1:
                 problem = f"{name} has messages of {' and '.join(types)}"
             yield RecordedTopic(name, types[0], count, _offered(connections[0].ext), problem)
+        told = {each.topic for each in self.connections if each.msgcount}
+        for name, each in self.filed.items():
+            if name not in told:
+                problem = f"the files of the bag have messages on {name}, and {_METADATA} counts none"
+                remedy = f"have {_METADATA} written anew: ros2 bag reindex"
+                yield RecordedTopic(name, plain_type(each.msgtype), each.msgcount, Qos.DEFAULT, problem, remedy)
 
     def _unreadable(self, connections: Sequence[Any]) -> str:
         """Say why the first message of a topic cannot be read; nothing where it can."""
@@ -234,6 +244,10 @@ def bag_at(path: Path) -> Path:
             f"Did you mean {str(path.with_name(near))!r}?" if near else "Name a .bag, .mcap or .db3 file, or a folder."
         )
         raise PluginError(f"there is no bag {str(path)!r}", where=str(path), fix=fix)
+    for each in path.iterdir() if path.is_dir() else [path]:
+        if each.exists() and not (each.is_file() or each.is_dir()):  # a named pipe would be awaited for ever
+            fix = "Take it away, and bring the file of the bag."
+            raise PluginError(f"{each.name!r} is neither a file nor a folder", where=str(path), fix=fix)
     if path.is_file() and path.suffix not in _SUFFIXES:
         fix = "Name a .bag, .mcap or .db3 file, or the folder of a bag."
         if path.suffix == ".active":
@@ -305,7 +319,10 @@ def _told_as_broken(path: Path) -> Iterator[None]:
         if isinstance(error, KeyError) and {*error.args} & _FOREIGN:
             problem = f"the bag has topics with {error.args[0]} definitions, and rosbags reads no bag that has any"
             raise PluginError(problem, where=str(path), fix=_WITHOUT) from error
-        raise PluginError(f"the bag cannot be read: {_reason(error)}", where=str(path), fix=_repair(path)) from error
+        is_full = isinstance(error, OSError) and error.errno == errno.ENOSPC  # where it is unpacked to
+        room = f"Make room in {tempfile.gettempdir()}, or set TMPDIR to a folder that has room for the unpacked bag."
+        fix = room if is_full else _repair(path)
+        raise PluginError(f"the bag cannot be read: {_reason(error)}", where=str(path), fix=fix) from error
 
 
 def _reason(error: Exception) -> str:

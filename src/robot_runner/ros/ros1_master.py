@@ -7,8 +7,10 @@ from __future__ import annotations
 
 import os
 import socket
+import time
 import xmlrpc.client
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from http.client import HTTPConnection, HTTPException, HTTPResponse
 from typing import Any
@@ -75,7 +77,7 @@ class Master:
     """A master, which may be on another computer.
 
     Each request has a deadline, and raises a `LinkError` where there is no master or node, where it does not answer in
-    time, and where the master refuses to set or to delete a parameter.
+    time, where what answers is none, and where the master refuses to set or to delete a parameter.
 
     Args:
         uri: None for that in ROS_MASTER_URI.
@@ -113,20 +115,20 @@ class Master:
 
     def parameter_names(self) -> list[str]:
         """Return the full names of all parameters of the parameter server."""
-        return list(self._ask("getParamNames"))
+        return list(self._ask("getParamNames", shape=_texts))
 
     def topic_types(self) -> dict[str, str]:
         """Return the type of each topic that was ever registered."""
-        return {name: topic_type for name, topic_type in self._ask("getTopicTypes") if topic_type != "*"}
+        types = self._ask("getTopicTypes", shape=lambda value: {each[0]: each[1] for each in map(_texts, value)})
+        return {name: topic_type for name, topic_type in types.items() if topic_type != "*"}
 
     def state(self) -> SystemState:
         """Return the publishers, subscribers and services."""
-        return SystemState(*({name: tuple(nodes) for name, nodes in part} for part in self._ask("getSystemState")))
+        return SystemState(*self._ask("getSystemState", shape=_parts))
 
     def service(self, name: str) -> str | None:
         """Return the URI of a service, or None where there is none."""
-        code, _, uri = self._answer("lookupService", name)
-        return uri if code == _SUCCESS else None
+        return self._found("lookupService", name)
 
     def pid_of(self, node: str, *, timeout: float | None = None) -> int | None:
         """Return the process id of a node, as the node reports it, or None where there is no such node.
@@ -140,8 +142,7 @@ class Master:
 
     def uri_of(self, node: str) -> str | None:
         """Return the URI of a node, or None where there is no such node."""
-        code, _, uri = self._answer("lookupNode", node)
-        return uri if code == _SUCCESS else None
+        return self._found("lookupNode", node)
 
     def forget(self, node: str) -> None:
         """Unregister everything of a node, in its name: a killed node does not do so itself.
@@ -166,30 +167,41 @@ class Master:
         try:
             uri = self.uri_of(node)
             connections = () if uri is None else Master(uri, timeout=self._timeout).connections()
-            return any(each[1] == listener and each[2] == "o" and each[4] == topic for each in connections)
-        except (LinkError, IndexError, TypeError):  # the node is gone, or answers in another form
+        except LinkError:  # the node is gone, or answers in another form
             return False
+        return (listener, "o", topic) in connections
 
-    def connections(self) -> list[Any]:
-        """Return the connections of a node: number, other side, direction (`o` is out), transport, topic of each."""
-        return list(self._ask("getBusInfo"))
+    def connections(self) -> list[tuple[Any, Any, Any]]:
+        """Return the connections of a node: other side, direction (`o` is out), topic of each."""
+        # Of each, the node tells number, other side, direction, transport, topic and more.
+        return list(self._ask("getBusInfo", shape=lambda value: [(each[1], each[2], each[4]) for each in value]))
 
     def pid(self) -> int:
         """Return the id of the process that answers; a node has this method, too."""
-        return int(self._ask("getPid"))
+        return int(self._ask("getPid", shape=int))
 
-    def _ask(self, method: str, *arguments: Any) -> Any:
+    def _ask(self, method: str, *arguments: Any, shape: Callable[[Any], Any] = lambda value: value) -> Any:
+        """Return what a master answers; `shape` converts it, or raises where no master answers so."""
         code, status, value = self._answer(method, *arguments)
         if code != _SUCCESS:
             raise LinkError(
                 f"the ROS master refuses {method}: {status}", where=self.uri, fix="Look at the master's log."
             )
-        return value
+        with self._told_as_none():
+            return shape(value)
+
+    def _found(self, method: str, name: str) -> str | None:
+        code, _, uri = self._answer(method, name)
+        with self._told_as_none():
+            return _texts([uri])[0] if code == _SUCCESS else None
 
     def _answer(self, method: str, *arguments: Any, caller: str = _CALLER) -> tuple[int, str, Any]:
         transport = _Transport(self._timeout)
         try:
-            with xmlrpc.client.ServerProxy(self.uri, transport=transport, use_builtin_types=True) as server:
+            with (
+                self._told_as_none(),
+                xmlrpc.client.ServerProxy(self.uri, transport=transport, use_builtin_types=True) as server,
+            ):
                 code, status, value = getattr(server, method)(caller, *arguments)
         except TimeoutError as error:
             problem = f"the ROS master at {self.uri} does not answer within {self._timeout:g} s"
@@ -202,15 +214,37 @@ class Master:
         except OSError as error:
             problem = f"there is no ROS master at {self.uri}: {(error.strerror or str(error)).lower()}"
             raise LinkError(problem, where=_URI, fix="Start one (roscore), or correct ROS_MASTER_URI.") from error
-        except (xmlrpc.client.Error, ExpatError, HTTPException, TypeError, ValueError) as error:
+        return code, status, value
+
+    @contextmanager
+    def _told_as_none(self) -> Iterator[None]:
+        try:
+            yield
+        except UnicodeError:  # of the host's name
+            raise
+        except (xmlrpc.client.Error, ExpatError, HTTPException, LookupError, TypeError, ValueError) as error:
             problem = f"what answers at {self.uri} is not a ROS master"
             fix = "Correct ROS_MASTER_URI: a master is at port 11311, if not started elsewhere."
             raise LinkError(problem, where=_URI, fix=fix) from error
-        return code, status, value
+
+
+def _texts(value: Any) -> tuple[str, ...]:
+    """Return a list of texts as a tuple; raises a TypeError for anything else."""
+    if not (isinstance(value, list) and all(isinstance(each, str) for each in value)):
+        raise TypeError(value)
+    return tuple(value)
+
+
+def _parts(value: Any) -> list[dict[str, tuple[str, ...]]]:
+    """Return publishers, subscribers and services of a system state; raises a TypeError or ValueError for others."""
+    publishers, subscribers, services = ({str(name): _texts(nodes) for name, nodes in part} for part in value)
+    return [publishers, subscribers, services]
 
 
 class _Transport(xmlrpc.client.Transport):
     """XML-RPC over a connection with a deadline."""
+
+    accept_gzip_encoding = False  # a few bytes may become as many as fill the memory
 
     def __init__(self, timeout: float) -> None:
         super().__init__(use_builtin_types=True)
@@ -220,6 +254,24 @@ class _Transport(xmlrpc.client.Transport):
         connection = _Connection(host, timeout=self._timeout)
         self._connection = host, connection  # where `close` looks for it
         return connection
+
+    def parse_response(self, response: Any) -> Any:
+        with closing(response):
+            timely: Any = _Timely(response, self._timeout)
+            return super().parse_response(timely)
+
+
+class _Timely:
+    """A response that has to end in time, however many pieces come."""
+
+    def __init__(self, response: HTTPResponse, seconds: float) -> None:
+        self._response = response
+        self._until = time.monotonic() + seconds
+
+    def read(self, size: int) -> bytes:
+        if time.monotonic() > self._until:
+            raise TimeoutError
+        return self._response.read1(size)
 
 
 class _Connection(HTTPConnection):

@@ -85,7 +85,11 @@ def call_service(name: str, uri: str, cls: Any, request: Any, *, timeout: float)
     if not is_good:
         text = answer.decode(errors="replace")
         raise LinkError(f"the service failed: {text}", where=name, fix="Look at the log of its node.")
-    return cls._response_class().deserialize(answer)
+    try:
+        return cls._response_class().deserialize(answer)
+    except Exception as error:  # genpy's own
+        problem = f"the service answers with what is none of {cls._type}: {error}"
+        raise LinkError(problem, where=name, fix="Look at the log of its node.") from error
 
 
 def service_type(name: str, uri: str, *, timeout: float) -> str:
@@ -107,7 +111,7 @@ def _connected(name: str, uri: str, timeout: float) -> Iterator[_Connection]:
         connection.note_answer()
     except TimeoutError as error:
         raise service_timeout(name, timeout) from error
-    except (OSError, struct.error) as error:
+    except (OSError, struct.error, ValueError) as error:  # what the master has as its address may be none
         fix = "Restart its node."
         raise LinkError(f"the service cannot be reached at {uri}: {error}", where=name, fix=fix) from error
     finally:

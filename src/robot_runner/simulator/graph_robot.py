@@ -187,7 +187,7 @@ class GraphRobot:
         self._closing.callback(subscription.close)
 
     def _is_heard(self, name: str, qos: Qos) -> bool:
-        """Whether a message has a receiver: two hundred a second that nobody hears took most of the processor time."""
+        """Whether a message has a receiver: publishing 200 a second to nothing took most of the processor time."""
         return not isinstance(self._link, GraphLink) or self._link.is_heard(name, qos)
 
     def _publish(self, name: str, message_type: str, qos: Qos, message: dict[str, Any]) -> None:
@@ -237,7 +237,7 @@ def _is_known(link: RobotLink, message_type: str) -> bool:
     try:
         link.definition(message_type)
     except LinkError as error:
-        _logger.warning("the robot says nothing on tf: %s", error)
+        _logger.warning("the robot publishes nothing on tf: %s", error)
         return False
     return True
 

@@ -15,6 +15,8 @@ from robot_runner.simulator.physics_library import mujoco
 from robot_runner.simulator.rooms import Cylinder, Obstacle
 from robot_runner.simulator.simulated_clock import STEPS_PER_SECOND
 
+#: With a shorter one, s, of a model by mistake, no simulation would come to an end.
+_SHORTEST_STEP = 1e-6
 _SCANNERS = ("base_scan", "scan", "lidar", "laser")
 _SIDES = ("left", "right")
 # As ints, because in some releases of MuJoCo its enumerations do not equal the numbers in its arrays.
@@ -117,6 +119,10 @@ def read_model(path: Path, obstacles: Iterable[Obstacle] = ()) -> mujoco.MjModel
         problem = f"MuJoCo does not take the model: {' '.join(str(error).split())}"
         fix = "Correct the MJCF; `python -m mujoco.viewer` shows it."
         raise LinkError(problem, where=str(path), fix=fix) from error
+    if not model.opt.timestep >= _SHORTEST_STEP:
+        problem = f"the time step of the model is {model.opt.timestep:g} s"
+        fix = f'Give it one of at least {_SHORTEST_STEP:g} s: <option timestep="0.002"/>.'
+        raise LinkError(problem, where=str(path), fix=fix)
     step = 1 / STEPS_PER_SECOND
     model.opt.timestep = step / math.ceil(step / model.opt.timestep - 1e-9)
     return model

@@ -41,7 +41,7 @@ class SimulatedActions:
         return {name: served.action_type for name, served in sorted(self._offered.items())}
 
     def client(self, action: str, action_type: str, timeout: float) -> _Client:
-        """Return a client of an action, without waiting for it: nobody could offer it during the wait."""
+        """Return a client of an action, without waiting for it: no node could offer it during the wait."""
         del timeout
         served = self._offered.get(action)
         if served is None or served.action_type != action_type:

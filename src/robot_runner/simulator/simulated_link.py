@@ -216,7 +216,7 @@ class SimulatedTransport:
             each.check_motors()
 
     def _published(self) -> dict[str, PublishedTopic]:
-        """Return the topics of all robots, by full name: as on a graph, anybody can subscribe to them."""
+        """Return the topics of all robots, by full name: as on a graph, any node can subscribe to them."""
         robots = self._simulation.robots.items()
         return {f"{namespace}/{name}": topic for namespace, robot in robots for name, topic in robot.topics.items()}
 

@@ -276,7 +276,8 @@ class Loop:
         elif kind == "recover":
             recover(rest[0])
         elif kind == "leftovers":
-            say("paths", *[path for each in folders() for path in glob.glob(f"{each}/{PREFIX}{rest[0]}-*")])
+            found = [path for each in folders() for path in glob.glob(f"{each}/{PREFIX}{rest[0]}-*")]
+            say("paths", *filter(os.path.isfile, found))  # another user may have put a pipe there
         elif kind == "discard":
             discard(rest[0])
             say("discarded", rest[0])

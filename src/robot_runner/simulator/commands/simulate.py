@@ -57,7 +57,7 @@ def add_arguments(parser: Parser) -> None:
     parser.add_argument(
         "--camera",
         action="store_true",
-        help="have its camera's topics, whose pictures are rendered while somebody subscribes; needs EGL or OSMesa",
+        help="have its camera's topics, whose pictures are rendered while a node subscribes; needs EGL or OSMesa",
     )
     parser.add_argument(
         "--no-watchdog",
