@@ -166,7 +166,7 @@ _ON_THE_LINE = (
     _line("a current beyond the range", "the energy is at least", _sent(40.0)),
     _line("a voltage beyond the range", "the energy is at least", _samples(bus=lambda _: 4000 << 3)),
     _line("the sensor wired the wrong way round", "are swapped", _sent(-8.0)),
-    _line("no voltage on the bus", "saw no voltage", _samples(bus=lambda _: 0)),
+    _line("no voltage on the bus", "show no voltage", _samples(bus=lambda _: 0)),
     _line("power above the declared limits", "outside the plausible", _sent(33.0), plausible_w=(2, 30)),
     _line("power below the declared limits", "outside the plausible", _sent(0.5), plausible_w=(2, 30)),
     _line(
@@ -260,7 +260,7 @@ _BEHIND_THE_DRIVER = (
     _driver("readings fail for a moment", "readings failed", lambda at: _UNREADABLE if 52 < at < 52.1 else _shown(at)),
     _driver("the driver falls silent", "do not cover", lambda at: _shown(at) if at < 53 else _UNREADABLE),
     _driver("the driver was told of another shunt", "was told of a shunt", _shown, shunt="10000", shunt_ohm=0.1),
-    _driver("no voltage on the bus", "saw no voltage", lambda at: _shown(at, volts=0.0)),
+    _driver("no voltage on the bus", "show no voltage", lambda at: _shown(at, volts=0.0)),
     _driver("the sensor wired the wrong way round", "are swapped", lambda at: _shown(at, watts=-7.6)),
     _driver("a current beyond the range", "the energy is at least", lambda _: ("39680000", "3200", "12400")),
     _driver(

@@ -112,7 +112,7 @@ def test_a_temperature_is_read_from_the_sensor_that_is_named(
     with ExitStack() as opened:
         below = temperature_below(50, sensor=str(sensor), **place).watch(context, opened)
         above = temperature_above(50, sensor=str(sensor), **place).watch(context, opened)
-        assert "does not tell" in below().seen
+        assert "does not report" in below().seen
         for text, is_below, is_above in (("47500\n", True, False), ("50000\n", False, False), ("51000", False, True)):
             sensor.write_text(text)
             assert (below().holds, above().holds) == (is_below, is_above)
@@ -125,14 +125,14 @@ def test_a_temperature_is_read_from_the_sensor_that_is_named(
 def test_a_computer_without_the_sensor_says_so(place: dict[str, object], context: RobotRunnerContext) -> None:
     look = seen(context, temperature_below(50, sensor="no-such-zone", **place))
     assert not look.holds
-    assert "does not tell no-such-zone" in look.seen
+    assert "does not report no-such-zone" in look.seen
 
 
 def test_batteries_and_throttling_are_told_of_where_there_are_any(
     place: dict[str, object], context: RobotRunnerContext
 ) -> None:
     battery, held_back = seen(context, battery_above(0.5, **place)), seen(context, throttled(**place), looks=2)
-    assert battery.holds or "tells of no battery" in battery.seen or battery.value == 0
+    assert battery.holds or "reports no battery" in battery.seen or battery.value == 0
     assert held_back.seen
 
 

@@ -6,7 +6,21 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from robot_runner import Condition, Gate, Guard, all_of, battery_above, load_below, message_on, topic_present
+from robot_runner import (
+    Condition,
+    Gate,
+    Guard,
+    all_of,
+    battery_above,
+    load_above,
+    load_below,
+    message_on,
+    not_,
+    port_open,
+    temperature_below,
+    throttled,
+    topic_present,
+)
 from robot_runner.conditions.condition_checks import check_conditions
 from robot_runner.core.config.parameters import Parameters
 from robot_runner.plugins import treatment
@@ -25,8 +39,8 @@ def pair() -> Plugin:
     return Together(Waypoints(WAY, name="a", namespace="/alice"), Waypoints(WAY, name="b", namespace="/bob"))
 
 
-def found(condition: Condition, *plugins: Plugin, robot: str = "simulated") -> list[str]:
-    parameters = Parameters(robot=robot, gates=(Gate(condition),), guards=(Guard(condition),))
+def found(condition: Condition, *plugins: Plugin, robot: str = "simulated", cluster: str | None = None) -> list[str]:
+    parameters = Parameters(robot=robot, gates=(Gate(condition),), guards=(Guard(condition),), cluster=cluster)
     return [str(each) for each in check_conditions("config.py", parameters, plugins)]
 
 
@@ -64,3 +78,19 @@ def test_a_profiler_of_a_simulated_robot_that_nobody_drives_is_found(profiler: C
 
 def test_a_profiler_of_a_computer_that_is_named_is_about_no_robot() -> None:
     assert not list(check_conditions("config.py", Parameters(robot="simulated"), [pair(), PsUtil(host="localhost")]))
+
+
+@pytest.mark.parametrize("condition", [temperature_below(50), not_(load_above(10)), throttled(), port_open(80)])
+def test_a_gate_about_this_machine_is_warned_of_where_workers_execute_the_runs(condition: Condition) -> None:
+    def told(cluster: str | None) -> list[str]:
+        return [each for each in found(condition, cluster=cluster) if "workers of a cluster" in each]
+
+    (finding,) = told("tcp://scheduler:8786")  # and none of the guard, which is watched at the run
+    assert "gates[0]" in finding
+    assert told(None) == []
+
+
+def test_a_gate_about_a_named_computer_or_the_robot_is_not_warned_of() -> None:
+    condition = all_of(temperature_below(50, host="pi@robot"), port_open(80, host="robot"), topic_present("odom"))
+    told = found(all_of(condition, battery_above(10)), cluster="tcp://scheduler:8786")
+    assert [each for each in told if "workers of a cluster" in each] == []

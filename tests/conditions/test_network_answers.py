@@ -88,7 +88,7 @@ def test_a_connection_to_oneself_is_no_open_port(monkeypatch: pytest.MonkeyPatch
         monkeypatch.setattr(socket, "create_connection", lambda *_, **__: own)
         look = port_open(own.getsockname()[1]).watch(context, ExitStack())()
     assert not look.holds
-    assert look.seen.endswith("nobody listens")
+    assert look.seen.endswith("closed")
 
 
 def test_a_server_is_awaited_until_it_answers_as_expected(server: str, context: RobotRunnerContext) -> None:

@@ -176,7 +176,7 @@ def test_a_robot_that_does_not_tell_its_charge_is_neither_charged_nor_flat(
     robot: Robot, condition: Condition, unknown: float
 ) -> None:
     robot.sends("battery_state", {"percentage": unknown, "voltage": 12.1}, at=0.1)
-    with pytest.raises(ConditionError, match="the robot does not tell its charge"):
+    with pytest.raises(ConditionError, match="the robot does not report its charge"):
         robot.waits(condition, timeout_s=1.0)
 
 
@@ -198,7 +198,7 @@ def test_nothing_within_reach_is_far_and_something_too_near_to_measure_is_near(
 
 def test_a_charge_in_percent_is_not_taken_for_a_share(robot: Robot) -> None:
     robot.sends("battery_state", {"percentage": 12.0}, at=0.1)
-    with pytest.raises(ConditionError, match="the robot tells a percentage of 12, and ROS has it from 0 to 1"):
+    with pytest.raises(ConditionError, match="the robot reports a percentage of 12, and ROS has it from 0 to 1"):
         robot.waits(battery_above(50), timeout_s=1.0)
 
 

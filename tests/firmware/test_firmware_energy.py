@@ -62,7 +62,7 @@ def test_another_shunt_is_reckoned_with(board, tmp_path):
     with board(load=MISSION.words, volts=VOLTS, shunt=0.05) as meter:
         measured = measure(meter, tmp_path, 6.0, shunt_ohm=0.05)
     assert abs(measured.error_of("Energy", MISSION)) < PROMISED
-    assert measured.problems == ["the power meter says that its shunt has 0.1 ohm, not 0.05 ohm"]
+    assert measured.problems == ["the power meter reports that its shunt has 0.1 ohm, not 0.05 ohm"]
 
 
 def test_it_measures_in_real_time_as_a_real_meter_does(free_board, tmp_path):

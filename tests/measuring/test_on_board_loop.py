@@ -33,7 +33,7 @@ from robot_runner.core.events.context import SystemClock
 from robot_runner.core.events.window import Window
 from robot_runner.measuring import on_board_session
 from robot_runner.measuring.on_board import loop
-from robot_runner.measuring.on_board_session import FORMS, REMOTE_COMMAND, OnBoardSession
+from robot_runner.measuring.on_board_session import FORMS, REMOTE_COMMAND, OnBoardSession, new_token
 from robot_runner.measuring.ssh_host import SshHost
 from robot_runner.measuring.utilisation import Selection, Utilisation
 
@@ -396,6 +396,19 @@ os.kill(os.getpid(), 9)
     link.connect()
     assert not left.exists()
     wait_until(lambda: not _is_alive(holder))
+
+
+@pytest.mark.parametrize("form", PYTHON_AND_SHELL)
+def test_a_pipe_in_the_place_of_samples_that_were_left_holds_nothing_up(
+    host: Callable[..., SshHost], tmp_path: Path, form: str
+) -> None:
+    """Another user of the computer may make it, and so kept it from being sampled."""
+    pipe = tmp_path / f"{loop.PREFIX}{new_token().partition('-')[0]}-999999999-ab"
+    os.mkfifo(pipe)
+    link = host(form)
+    link.connect()
+    assert link.list_files(str(pipe)) == [str(pipe)]
+    pipe.unlink()
 
 
 def test_samples_of_a_run_that_goes_on_are_left_alone(host: Callable[..., SshHost], tmp_path: Path) -> None:

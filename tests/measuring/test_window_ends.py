@@ -106,14 +106,15 @@ def test_a_phase_that_has_no_value_is_not_said_to_be_off():
 
 
 def test_a_percentage_is_doubted_from_a_point_on():
-    def doubts(busy):
+    def doubts(busy, end=11.05):
         times = every(0.1)
         shares = Series(times, [busy if 10.0 < time <= 11.1 else 0.2 for time in times])
         ends = WindowEnds(times, lambda window: {"CPU": mean_of_intervals(shares, window)}, [CPU])
-        return list(ends.doubts_about_phase("plan", [Window(10.02, 11.05)]))
+        return list(ends.doubts_about_phase("plan", [Window(10.02, end)]))
 
     assert doubts(10.0) == []
     assert len(doubts(80.0)) == 1
+    assert len(doubts(40.0, end=10.45)) == 1  # 1.6 %·s are 3.7 points of so short a phase
 
 
 def test_a_mission_whose_ends_were_read_is_not_doubted_and_one_between_two_readings_is():

@@ -157,7 +157,7 @@ def test_an_energy_below_nothing_is_doubted(measure):
     context = measure(lambda time: {"voltage": 12.0, "current": 0.5, "percentage": 0.5 + 1e-4 * (time - 50.0)})
     assert context.measures["Energy"] == pytest.approx(-60.0)
     assert _problems(context) == [
-        "the energy is -60 J: the robot tells its current with the wrong sign, or was charged"
+        "the energy is -60 J: the robot reports its current with the wrong sign, or was charged"
     ]
 
 
@@ -183,7 +183,7 @@ def test_a_state_of_charge_that_falls_beside_a_voltage_that_sags_is_none_of_it(m
 def test_a_state_of_charge_that_is_told_in_percent_is_doubted(measure):
     context = measure(lambda time: {"voltage": 12.0, "current": -0.5, "percentage": 85.0 - 0.01 * (time - 50.0)})
     assert _problems(context) == [
-        "the robot says percentage = 85, where sensor_msgs/BatteryState has 0 to 1: ChargeUsed may be 100-fold"
+        "the robot reports percentage = 85, where sensor_msgs/BatteryState has 0 to 1: ChargeUsed may be 100-fold"
     ]
 
 

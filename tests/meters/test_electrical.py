@@ -95,7 +95,11 @@ def test_what_is_no_reading_for_each_channel_counts_as_failed_and_is_told(tmp_pa
     context = make_context(tmp_path, plugin, robot=None, clock=clock)
     measures = rehearse(context, plugin, mission=lambda: clock.sleep(2.0))
     assert set(measures.values()) == {None}
-    said = f"the meter said {read()}, not an ElectricalReading for each channel" if read() else "the meter said nothing"
+    said = (
+        f"the meter returned {read()}, not an ElectricalReading for each channel"
+        if read()
+        else "the meter returned nothing"
+    )
     assert any(said in finding.problem for finding in context.broker.findings)
 
 
@@ -466,11 +470,14 @@ _RAILS = ("in", "gpu")
     ("amperes", "until", "said"),
     [
         (0.0, 10.0, []),  # an averaging sensor of coarse steps tells no noise of a rail that nothing draws from
-        (0.4, 10.0, ["the meter said the same of gpu 101 times, for 10.0 s: it may be stuck"]),
+        (0.4, 10.0, ["the meter reported the same value of gpu 101 times, for 10.0 s: it may be stuck"]),
         (
             0.0,
             5.0,
-            [f"the meter said the same of {rail} 51 times, for 5.0 s: it may be stuck" for rail in ("in", "gpu")],
+            [
+                f"the meter reported the same value of {rail} 51 times, for 5.0 s: it may be stuck"
+                for rail in ("in", "gpu")
+            ],
         ),
     ],
 )

@@ -241,6 +241,21 @@ def test_an_address_keeps_its_password_to_itself(tmp_path: Path) -> None:
         assert not path.is_file() or b"hunter2" not in path.read_bytes(), path
 
 
+@pytest.mark.parametrize(
+    "device",
+    [
+        "rtsp://lab:hunter2@camera/stream",
+        "rtsp://camera:554/user=lab&password=hunter2&channel=1_stream=0.sdp",
+        "http://camera/video.mjpg?usr=lab&pwd=hunter2",
+    ],
+)
+def test_the_claim_of_a_camera_keeps_its_password_to_itself(device: str) -> None:
+    """Others see it as the name of a file in /run/lock."""
+    (claim,) = LabCamera(device).claims(None)
+    assert "hunter2" not in claim
+    assert "camera/" in claim or "camera:554/" in claim
+
+
 def test_ffmpeg_that_is_missing_is_a_finding(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PATH", "")
     (finding,) = LabCamera("rtsp://camera/stream").check(Circumstances())

@@ -220,7 +220,7 @@ def test_what_happened_before_is_not_new_where_the_firmware_could_not_be_asked_i
 def test_a_zone_that_tells_whole_degrees_is_doubted(measure, board, clock):
     told = (
         "a thermal zone reported temperatures below 0.15 °C in 10 of 21 samples: "
-        "it may tell whole degrees, not thousandths"
+        "it may report whole degrees, not thousandths"
     )
     board.zone("thermal_zone0", "acpitz", 0.0)
     board.zone("thermal_zone1", "cpu-thermal", 0.0)
@@ -288,7 +288,7 @@ def test_a_machine_that_tells_nothing_is_refused(tmp_path):
     plugin = LinuxThermal(root=tmp_path)
     (finding,) = plugin.check(Circumstances())
     assert finding.is_error
-    with pytest.raises(PluginError, match="neither of temperature nor of frequency"):
+    with pytest.raises(PluginError, match="neither temperature nor frequency"):
         rehearse(make_context(tmp_path, plugin, robot=None), plugin)
 
 

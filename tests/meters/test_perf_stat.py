@@ -139,7 +139,7 @@ def test_an_event_that_cannot_be_counted_is_named_and_one_that_was_scaled_too(tm
     assert "'cache-misses' was counted in 50 % of the time only, and scaled up by perf" in problems
 
 
-DIES = "perf adds up the energy of 2 dies, and each tells that of its whole package"
+DIES = "perf adds up the energy of 2 dies, and each reports that of its whole package"
 
 
 @pytest.mark.parametrize(

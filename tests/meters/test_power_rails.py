@@ -160,7 +160,7 @@ def test_rails_of_one_label_on_one_chip_are_told_apart_by_their_number(tree):
 
 def test_a_scale_that_is_no_number_is_told(tree):
     tree.iio({**rail_trees.INA226_IIO, "in_power2_scale": "lots"})
-    with pytest.raises(LinkError, match="in_power2_scale says 'lots'"):
+    with pytest.raises(LinkError, match="in_power2_scale holds 'lots'"):
         found(tree)
 
 
@@ -197,7 +197,7 @@ def test_a_rail_without_power_is_warned_of(tree):
     tree.hwmon(rail_trees.AMDGPU)
     (finding,) = check(tree, "vddgfx")
     assert not finding.is_error
-    assert "tells its voltage only" in finding.problem
+    assert "reports its voltage only" in finding.problem
 
 
 def test_the_only_rail_needs_no_name(tree):
@@ -339,7 +339,7 @@ def test_a_sensor_that_is_stuck_is_noticed(tmp_path, tree, clock):
     clock.every(0.05, load)
     context = measured(tmp_path, tree, clock)
     (problem,) = problems(context)
-    assert "said the same" in problem
+    assert "reported the same value" in problem
     assert "it may be stuck" in problem
 
 

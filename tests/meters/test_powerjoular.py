@@ -93,7 +93,7 @@ def test_zero_watts_are_no_power_but_a_counter_that_was_not_found(measure):
     assert context.measures["Energy"] is None
     assert context.measures["MeanPower"] is None
     assert context.measures["CPU"] == pytest.approx(100.0)
-    assert any("said 0 W" in finding.problem for finding in context.broker.findings)
+    assert any("reported 0 W" in finding.problem for finding in context.broker.findings)
 
 
 # Version 0.7.3 does not notice that a counter of 2^32 x 61 uJ has wrapped; 1.1.0 adds that range where the one of the

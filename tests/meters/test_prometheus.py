@@ -419,5 +419,5 @@ def test_a_unit_that_only_the_help_of_a_metric_tells_is_a_warning_of_the_check(m
     plugin = Prometheus("http://robot:9400/metrics", [ScrapedMetric(selector=name, measure=measure)])
     found = list(plugin.check(Circumstances()))
     assert [each.is_error for each in found] == ([] if is_told else [False])
-    assert is_told or "its name tells none; its help says 'Power draw (in W).'" in found[0].problem
+    assert is_told or "its name has none; its help is 'Power draw (in W).'" in found[0].problem
     plugin.open(None)

@@ -137,7 +137,7 @@ def test_without_a_host_and_a_simulated_robot_the_check_says_how_to_name_one():
 def test_the_computer_of_a_simulated_robot_tells_of_no_processes():
     (finding,) = PsUtil(processes=["talker"]).check(Circumstances(robot="simulated"))
     assert finding.is_error
-    assert "does not tell of single processes" in finding.problem
+    assert "does not report single processes" in finding.problem
 
 
 def test_this_machine_is_no_simulated_robots_computer():
@@ -231,7 +231,7 @@ def test_a_process_that_was_never_there_has_no_value_and_is_told_of():
     assert measured.means()["CPU_core7"] is None
     assert [each.problem for each in measured.doubted()] == [
         "no process name:talker was seen; new ones are looked for once a second",
-        "the computer tells of no core 7",
+        "the computer reports no core 7",
     ]
 
 
@@ -239,8 +239,10 @@ def test_what_ps_cannot_tell_is_doubted():
     samples = [UtilisationSample(float(at), 50.0, 10.0) for at in range(3)]
     report = SamplingReport(rate=1.0, form=FORMS["ps"].description)
     seconds, resident = Utilisation(samples, Window(0.0, 2.0), Selection(), report, is_simulated=False).doubted()
-    assert seconds.problem.startswith("ps tells CPU time in whole seconds: over 2.0 s, utilisation may be off by 50 %")
-    assert resident.problem.startswith("ps tells the memory of processes only")
+    assert seconds.problem.startswith(
+        "ps reports CPU time in whole seconds: over 2.0 s, utilisation may be off by 50 %"
+    )
+    assert resident.problem.startswith("ps reports the memory of processes only")
     assert resident.measures == ("Memory",)
 
 
@@ -340,7 +342,7 @@ def test_a_core_that_was_switched_off_for_a_part_of_the_window_has_no_value_and_
     selection = Selection((), (0, 1))
     measured = Utilisation(samples, Window(0.0, 20.0), selection, SamplingReport(rate=1.0), is_simulated=False)
     assert (measured.means()["CPU_core0"], measured.means()["CPU_core1"]) == (pytest.approx(20.0), None)
-    told = "the computer tells of core 1 for a part of the window only: it was switched off meanwhile"
+    told = "the computer reports core 1 for a part of the window only: it was switched off meanwhile"
     assert [each.problem for each in measured.doubted()] == [told]
 
 
@@ -349,7 +351,7 @@ def test_a_core_that_is_switched_off_among_others_is_told_of():
     selection = Selection((), (1,))
     measured = Utilisation(samples, Window(0.0, 2.0), selection, SamplingReport(rate=1.0), is_simulated=False)
     assert measured.means()["CPU_core1"] is None
-    assert [each.problem for each in measured.doubted()] == ["the computer tells of no core 1"]
+    assert [each.problem for each in measured.doubted()] == ["the computer reports no core 1"]
 
 
 def test_a_core_that_is_switched_off_has_no_column_among_the_samples(tmp_path):

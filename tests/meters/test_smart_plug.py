@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import csv
 import gc
+import itertools
 import json
 import logging
 import socket
 import threading
 import time
+from contextlib import closing
+from types import SimpleNamespace
 
 import pytest
 from tests.meters.fake_plugs import FakePlug, PlugOnHttp, PlugOnMqtt
@@ -18,6 +21,7 @@ from tests.waiting import PATIENCE, wait_until
 
 from robot_runner.core.errors import LinkError, PluginError
 from robot_runner.core.events.context import SystemClock
+from robot_runner.meters import mqtt_requests
 from robot_runner.meters.electrical_readings import ElectricalReading
 from robot_runner.meters.http_requests import HttpDevice
 from robot_runner.meters.mqtt_requests import MqttRequests
@@ -112,7 +116,7 @@ def test_the_outlets_of_a_tasmota_strip_are_told_apart(total, joules):
 
 
 def test_a_number_beyond_all_bounds_is_no_number():
-    with pytest.raises(ValueError, match="says apower = inf, which is not a number"):
+    with pytest.raises(ValueError, match="reports apower = inf, which is not a number"):
         DIALECTS["shelly2"].read({"": b'{"apower": 1' + b"0" * 400 + b"}"}, 0)
 
 
@@ -120,7 +124,7 @@ def test_a_number_beyond_all_bounds_is_no_number():
 def test_a_reading_that_the_plug_itself_says_to_be_wrong_is_none(error):
     told = {"id": 0, "apower": 0.0, "voltage": 230.1, "current": 0.0, "errors": ["overtemp", error]}
     for dialect in ("shelly2", "shelly2-pm"):
-        with pytest.raises(ValueError, match=f"the plug says {error!r} of its power meter"):
+        with pytest.raises(ValueError, match=f"the plug reports {error!r} for its power meter"):
             DIALECTS[dialect].read({"": json.dumps(told).encode()}, 0)
     harmless = json.dumps({**told, "errors": ["overtemp"]}).encode()
     assert DIALECTS["shelly2"].read({"": harmless}, 0).power == 0.0
@@ -296,6 +300,18 @@ def test_answers_that_come_late_are_not_taken_for_those_to_the_next_question(bro
 
 
 @pytest.mark.usefixtures("_broker_may_be_slow")
+@pytest.mark.parametrize("on_mqtt", ["tasmota"], indirect=True)
+def test_answers_that_come_without_end_are_told(broker, on_mqtt, monkeypatch):
+    """What had come before a question was read until there was no more: somebody who sends on and on hung the run."""
+    exchange = DIALECTS["tasmota"].exchange(on_mqtt.topic, 0, "")
+    requests = MqttRequests(broker.url, exchange, timeout=20.0, where="plug")
+    moments = itertools.count(0.0, 5.0)
+    monkeypatch.setattr(mqtt_requests, "time", SimpleNamespace(monotonic=lambda: next(moments)))
+    monkeypatch.setattr(mqtt_requests, "select", SimpleNamespace(select=lambda *_: [True, [], []]))
+    with closing(requests), pytest.raises(LinkError, match="come faster than they can be read"):
+        requests.ask()
+
+
 def test_a_topic_that_nobody_answers_is_told(broker):
     finding = only_finding(SmartPlug("tasmota", broker=broker.url, topic="nobody", timeout_s=0.5))
     assert "no answer came on stat/nobody/STATUS10 within 0.5 s" in finding.problem

@@ -76,7 +76,7 @@ def test_each_record_tells_of_the_second_before_it(measure):
 def test_a_meter_that_is_stuck_is_doubted(measure):
     context, _ = measure(lambda number: 60.0 + 0.1 * (min(number, 5) % 3), seconds=38.0)
     (finding,) = context.broker.findings
-    assert finding.problem == "the meter said the same 34 times, for 33.0 s: it may be stuck"
+    assert finding.problem == "the meter reported the same value 34 times, for 33.0 s: it may be stuck"
 
 
 def test_power_that_contradicts_voltage_and_current_is_doubted(measure):

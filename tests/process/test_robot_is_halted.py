@@ -448,7 +448,9 @@ def test_robots_that_nobody_was_left_to_stop_are_stopped_by_the_next_execution_b
         told = " ".join(again.output.split())
         for run, name in (("r_1", "alice"), ("r_2", "bob")):
             link, robot = both[name]
-            said = f"an earlier execution was killed in {run} ({link}), and nobody was left to make its systems safe"
+            said = (
+                f"an earlier execution was killed in {run} ({link}), and no process was left to make its systems safe"
+            )
             assert f"{said}; that was done now" in told
             assert not robot.moves()
         again.nobody_is_left()
@@ -467,7 +469,9 @@ def test_robots_that_a_killed_experiment_left_moving_are_stopped_before_another_
         assert another.end() == 0, another.output
         told = " ".join(another.output.split())
         for link, _ in both.values():
-            assert f"({link}), and nobody was left to make its systems safe; its robot was told to stand still" in told
+            assert (
+                f"({link}), and no process was left to make its systems safe; its robot was told to stand still" in told
+            )
         assert not any((tmp_path / "results" / "trial").glob(".to_make_safe*"))
         assert experiment.nobody_is_left()
 
@@ -502,7 +506,9 @@ def test_robots_are_stopped_also_where_the_folder_of_the_killed_experiment_was_r
         assert following.end() == 0, following.output
         told = " ".join(following.output.split())
         for link, _ in both.values():
-            assert f"({link}), and nobody was left to make its systems safe; its robot was told to stand still" in told
+            assert (
+                f"({link}), and no process was left to make its systems safe; its robot was told to stand still" in told
+            )
         assert not [each for each in robots_left() if str(tmp_path) in each.where]
 
 

@@ -88,7 +88,8 @@ def test_where_all_three_are_killed_the_next_execution_stops_it_before_anything_
         (config.parent / "enough").touch()
         restarted, again = time.time(), start(config=config)
         assert again.end() == 0, again.output
-        assert f"killed in r_1 ({graph}), and nobody was left to make its systems safe; that was done now" in " ".join(
-            again.output.split()
+        assert (
+            f"killed in r_1 ({graph}), and no process was left to make its systems safe; that was done now"
+            in " ".join(again.output.split())
         )
         looking.sees_standstill(since=restarted)

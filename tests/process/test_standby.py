@@ -269,7 +269,7 @@ LOOKED_AT_FIRST = """
     def before_experiment(self):
         (HERE / "at_first").write_text("on" if (HERE / "on").exists() else "off")
 """
-LEFT = "an earlier execution was killed in r_1, and nobody was left to make its systems safe"
+LEFT = "an earlier execution was killed in r_1, and no process was left to make its systems safe"
 
 
 @pytest.mark.long

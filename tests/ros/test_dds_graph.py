@@ -10,16 +10,19 @@ import pytest
 pytest.importorskip("cyclonedds", reason="it is not published built for every machine")
 
 from cyclonedds.domain import DomainParticipant
+from cyclonedds.pub import DataWriter
 from cyclonedds.qos import Policy, Qos, _CQos
+from cyclonedds.topic import Topic
 from tests.ros.dds_domain import LOOPBACK, claim_domain
 
 from robot_runner.core.events.context import SystemClock
 from robot_runner.ros import dds_session
 from robot_runner.ros.dds_graph import matched_publications, matched_subscriptions
-from robot_runner.ros.dds_reception import READING_QOS, Reception
+from robot_runner.ros.dds_reception import READING_QOS, Reception, topic_wire_type
 from robot_runner.ros.dds_services import OfferedService
 from robot_runner.ros.graph_addresses import DdsSettings
 from robot_runner.ros.link_opening import open_dds_link
+from robot_runner.ros.type_catalogue import TypeCatalogue
 
 
 class Moving:
@@ -104,3 +107,29 @@ def test_links_that_join_a_graph_at_the_same_time_do_not_wait_for_each_other_as_
     with closing(dds_session.Session(settings)) as session:
         assert session.graph.wait_for(lambda: {joining.guid, robot.guid} <= session.graph.participants, 60.0)
         assert session.graph.silent() - {session.guid} == {robot.guid}
+
+
+class Latin(str):
+    """The name of a partition in Latin-1, as a program in C may spell it."""
+
+    __slots__ = ()
+
+    def encode(self, *_):
+        return b"B\xfcro"
+
+
+def test_an_endpoint_that_cannot_be_read_hides_no_other_one(monkeypatch):
+    # cyclonedds takes many at once, and where it cannot read one it gave none of them.
+    monkeypatch.setenv("CYCLONEDDS_URI", LOOPBACK)
+    settings = DdsSettings(claim_domain(), "jazzy")
+    robot, kept = DomainParticipant(settings.domain), []
+    wire_type = topic_wire_type(TypeCatalogue.of(2, "jazzy", ()).shape("std_msgs/String"))
+    for number in range(12):
+        odd = Qos(Policy.Partition([Latin()]))
+        kept += [
+            DataWriter(robot, Topic(robot, f"rt/{name}{number}", wire_type), qos)
+            for name, qos in (("odd", odd), ("good", Qos()))
+        ]
+    with closing(dds_session.Session(settings)) as session:
+        seen = {f"/good{number}" for number in range(12)}
+        assert session.graph.wait_for(lambda: seen <= session.graph.topics().keys(), 20.0)

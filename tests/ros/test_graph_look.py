@@ -259,7 +259,7 @@ class TestOverDds(GraphLook):
         with closing(GRAPH_LINKS["dds"].open(name, SystemClock())) as link:
             link.publish("odom", "nav_msgs/Odometry", {})
             (finding,) = graph_look.look_at(name, {})
-        assert "nobody publishes '/clock'" in finding.problem
+        assert "no node publishes '/clock'" in finding.problem
         assert "leave clock=graph out of robot = 'dds:…'" in finding.fix
 
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 import json
+import os
 import shutil
 import sqlite3
 from contextlib import closing
@@ -91,8 +93,35 @@ def test_messages_that_are_only_counted_are_told(tmp_path):
     topics = told["rosbag2_bagfile_information"]["topics_with_message_count"]
     topics[0]["topic_metadata"]["name"] = "/renamed"
     metadata.write_text(json.dumps(told))
-    problem = "no message on /renamed is in the files of the bag, though metadata.yaml counts 20"
-    assert found(path) == ({}, {"/renamed": problem})
+    problems = {
+        "/renamed": "no message on /renamed is in the files of the bag, though metadata.yaml counts 20",
+        "/scan": "the files of the bag have messages on /scan, and metadata.yaml counts none",
+    }
+    assert found(path) == ({}, problems)
+
+
+@pytest.mark.parametrize("is_listed", [False, True])
+@pytest.mark.parametrize("sqlite", [False, True])
+def test_a_topic_of_which_the_metadata_tell_nothing_is_not_left_out_without_a_word(tmp_path, sqlite, is_listed):
+    path = scans_of_ros2(tmp_path / "hall", others=("/note",), sqlite=sqlite)
+    metadata = path / "metadata.yaml"
+    told = _loaded(metadata)
+    topics = told["rosbag2_bagfile_information"]["topics_with_message_count"]
+    note = next(each for each in topics if each["topic_metadata"]["name"] == "/note")
+    if is_listed:
+        note["message_count"] = 0
+    else:
+        topics.remove(note)
+    metadata.write_text(json.dumps(told))
+    with RecordedBag(path) as bag:
+        assert [each.name for each in bag.chosen(["/scan"])] == ["/scan"]
+        for names in (None, ["/note"]):
+            with pytest.raises(PluginError, match=r"the files of the bag have messages on /note, and .* counts none"):
+                bag.chosen(names)
+        with pytest.raises(PluginError) as refused:
+            bag.chosen(None)
+    (finding,) = refused.value.findings
+    assert finding.fix == "Leave /note out: topics=['/scan'], or have metadata.yaml written anew: ros2 bag reindex."
 
 
 def test_a_count_in_the_metadata_that_is_a_text_is_a_fault_of_the_bag(tmp_path):
@@ -104,6 +133,16 @@ def test_a_count_in_the_metadata_that_is_a_text_is_a_fault_of_the_bag(tmp_path):
     with pytest.raises(PluginError, match="the bag cannot be read") as refused:
         RecordedBag(path)
     assert refused.value.where == str(path)
+
+
+def test_a_named_pipe_in_the_place_of_a_file_is_refused(tmp_path):
+    path = scans_of_ros2(tmp_path / "hall")
+    (file,) = path.glob("*.mcap")
+    file.unlink()
+    for pipe, named in ((file, path), (tmp_path / "hall.bag", tmp_path / "hall.bag")):
+        os.mkfifo(pipe)
+        with pytest.raises(PluginError, match=f"'{pipe.name}' is neither a file nor a folder"):
+            RecordedBag(named)
 
 
 def test_a_definition_that_cannot_be_read_keeps_only_its_topic_away(tmp_path):
@@ -195,7 +234,7 @@ def test_an_index_without_topics_is_not_taken_for_an_empty_bag(tmp_path):
         schema = writer.register_schema("std_msgs/msg/String", "ros2msg", b"string data")
         writer.add_message(writer.register_channel("/chatter", "cdr", schema), 1, TEXT, 1)
         writer.finish()
-    with RecordedBag(path) as bag, pytest.raises(PluginError, match="has 1 message, but its index tells of no topic"):
+    with RecordedBag(path) as bag, pytest.raises(PluginError, match="has 1 message, but its index names no topic"):
         bag.chosen(None)
 
 
@@ -259,6 +298,22 @@ def test_a_file_whose_messages_are_compressed_one_by_one_names_the_folder_that_t
         writer.write(chatter, BEGIN_NS, TEXT)
     assert found(path) == ({"/chatter": 1}, {})
     assert refusal(path / "hall.db3") == f"Name the folder: {str(path)!r}."
+
+
+def test_a_bag_for_which_there_is_no_room_to_unpack_it_tells_where_room_is_needed(tmp_path, monkeypatch):
+    """It was taken for damaged: the fix was to record it again."""
+    store, path, name = get_typestore(Stores.ROS2_HUMBLE), tmp_path / "hall", "std_msgs/msg/String"
+    writer = Writer(path, version=8, storage_plugin=StoragePlugin.MCAP)
+    writer.set_compression(CompressionMode.FILE, CompressionFormat.ZSTD)
+    with writer:
+        writer.write(writer.add_connection("/chatter", name, typestore=store), BEGIN_NS, TEXT)
+    assert found(path) == ({"/chatter": 1}, {})
+
+    def full(*_):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(shutil, "copyfileobj", full)
+    assert "set TMPDIR to a folder that has room" in refusal(path)
 
 
 def _loaded(metadata):

@@ -128,7 +128,7 @@ def test_make_safe_says_where_a_server_does_not_cancel(link, other, tmp_path):
     link.send_goal("tally", COUNTING, {"goal": 5000})
     other.process.send_signal(signal.SIGSTOP)
     mission = ActionMission("tally", COUNTING, {"goal": 5000}, cancel_timeout_s=1.0)
-    with pytest.raises(LinkError, match="does not tell within 1 s that it cancels"):
+    with pytest.raises(LinkError, match="do not end within 1 s after it was asked to cancel"):
         mission.make_safe(make_context(tmp_path, mission, robot="ros1", links=FakeLinks(robot=link)))
 
 

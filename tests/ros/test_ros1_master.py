@@ -7,7 +7,8 @@ import socket
 import struct
 import threading
 import time
-from contextlib import ExitStack, contextmanager
+import xmlrpc.client
+from contextlib import ExitStack, contextmanager, suppress
 from http.server import BaseHTTPRequestHandler, HTTPServer
 from types import SimpleNamespace
 
@@ -20,7 +21,7 @@ from tests.waiting import PATIENCE
 from robot_runner.core.errors import LinkError
 from robot_runner.core.links.connect import link_findings
 from robot_runner.ros.ros1_master import Master, master_address
-from robot_runner.ros.ros1_services import call_service
+from robot_runner.ros.ros1_services import call_service, service_type
 
 
 @pytest.mark.parametrize(
@@ -71,6 +72,28 @@ def test_a_master_that_is_silent_is_given_up_at_the_deadline():
         assert 0.3 <= time.monotonic() - begun < 2.0 + wait.seconds
 
 
+class _Endless(BaseHTTPRequestHandler):
+    def do_POST(self):
+        self.send_response(200)
+        self.end_headers()
+        with suppress(OSError):
+            while True:
+                self.wfile.write(65536 * b" ")
+
+    def log_message(self, *_):
+        pass
+
+
+def test_a_master_that_answers_without_end_is_given_up_at_the_deadline():
+    """It filled the memory: the deadline was that of each piece."""
+    with HTTPServer(("127.0.0.1", 0), _Endless) as server:
+        thread = threading.Thread(target=server.handle_request)
+        thread.start()
+        with pytest.raises(LinkError, match=r"does not answer within 0\.1 s"):
+            Master(f"http://127.0.0.1:{server.server_port}", timeout=0.1).check()
+        thread.join(PATIENCE)
+
+
 @contextmanager
 def hardly_reading():
     """Yield a server whose connections take a few kilobytes until it reads; the rest lies in the client's system."""
@@ -117,6 +140,37 @@ def test_a_call_of_a_service_that_was_given_up_is_not_delivered_later():
             read_late(accepted[0])
 
 
+def broken(_: bytes) -> None:
+    raise RuntimeError("unpack requires a buffer of 4 bytes")
+
+
+def test_an_answer_that_is_none_of_the_service_is_told():
+    with socket.create_server(("127.0.0.1", 0)) as server:
+
+        def answer():
+            with server.accept()[0] as connection:
+                connection.recv(65536)
+                connection.sendall(struct.pack("<I", 0) + b"\x01" + struct.pack("<I", 1) + b"\x01")
+                connection.recv(65536)
+
+        answering = threading.Thread(target=answer)
+        answering.start()
+        kind = SimpleNamespace(
+            _type="std_srvs/SetBool", _md5sum="*", _response_class=lambda: SimpleNamespace(deserialize=broken)
+        )
+        request = SimpleNamespace(serialize=lambda buffer: buffer.write(b"\x01"))
+        with pytest.raises(LinkError, match=r"none of std_srvs/SetBool: unpack requires") as told:
+            call_service("/lamp", f"rosrpc://127.0.0.1:{server.getsockname()[1]}", kind, request, timeout=PATIENCE)
+        answering.join(PATIENCE)
+    assert told.value.where == "/lamp"
+
+
+@pytest.mark.parametrize("uri", ["rosrpc://127.0.0.1:port", "rosrpc://[::1", "rosrpc://127.0.0.1:99999"])
+def test_a_service_that_stands_at_no_address_is_told(uri):
+    with pytest.raises(LinkError, match="the service cannot be reached at rosrpc"):
+        service_type("/lamp", uri, timeout=1.0)
+
+
 class _WebServer(BaseHTTPRequestHandler):
     def do_POST(self):
         body = b"<html>no master</html>" if self.path == "/page" else b""
@@ -138,6 +192,43 @@ def test_what_answers_as_a_web_server_is_no_master(path):
             with pytest.raises(LinkError, match="not a ROS master") as caught:
                 Master(f"http://127.0.0.1:{server.server_port}{path}", timeout=5.0).check()
             assert "11311" in caught.value.fix
+        finally:
+            server.shutdown()
+            thread.join()
+
+
+class _Odd(HTTPServer):
+    """Answers each request with success, and with what is none of the shape that was asked for."""
+
+    def __init__(self, value):
+        super().__init__(("127.0.0.1", 0), _OddHandler)
+        self.body = xmlrpc.client.dumps(((1, "", value),), methodresponse=True).encode()
+
+
+class _OddHandler(_WebServer):
+    def do_POST(self):
+        self.send_response(200)
+        self.send_header("Content-Length", str(len(self.server.body)))
+        self.end_headers()
+        self.wfile.write(self.server.body)
+
+
+@pytest.mark.parametrize("value", [2.5, "/x", [], [1], [["/a", 1]], [[["/a", [1]]], [], []], {"a": 1}])
+def test_an_answer_of_another_shape_is_none_of_a_master(value):
+    """The run ended with a TypeError, an AttributeError, .. in place of an error."""
+    with _Odd(value) as server:
+        thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01})
+        thread.start()
+        try:
+            master = Master(f"http://127.0.0.1:{server.server_port}", timeout=5.0)
+            with pytest.raises(LinkError, match="not a ROS master"):
+                master.state()
+            with pytest.raises(LinkError):
+                master.pid_of("/x")
+            assert master.is_serving("/x", "/a", "/y") is False
+            for ask in (master.topic_types, master.parameter_names):
+                with suppress(LinkError):
+                    assert all(isinstance(each, str) for each in ask())
         finally:
             server.shutdown()
             thread.join()

@@ -77,6 +77,7 @@ def test_a_humble_that_is_sourced_for_another_python_leads_to_the_link_that_need
     (package / "__init__.py").write_text("from rclpy import _rclpy_pybind11\n")
     (package / "_rclpy_pybind11.cpython-310-x86_64-linux-gnu.so").write_bytes(b"")
     monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.delitem(sys.modules, "rclpy", raising=False)  # where a test has used that of this Python before
     for name, value in {"ROS_VERSION": "2", "ROS_DISTRO": "humble", "ROS_DOMAIN_ID": "30"}.items():
         monkeypatch.setenv(name, value)
     (finding,) = ROS2.findings(RobotName.parse("ros2"))

@@ -26,6 +26,7 @@ from robot_runner.core.events.early_end import RunInterrupted
 from robot_runner.core.events.measure import Origin
 from robot_runner.core.links.robot import Encoding, GraphEndpoint, Qos
 from robot_runner.core.links.ssh_command import for_any_shell
+from robot_runner.core.plugin import Circumstances
 from robot_runner.measuring.meter_process import MeterProcess
 from robot_runner.ros import bag_recorder
 from robot_runner.ros.bag_file import began_late, messages_in, new_bag
@@ -340,6 +341,20 @@ def test_a_bag_is_fetched_without_being_held_in_memory(tmp_path):
     assert (here / "bag.mcap").stat().st_size == 100_000_000
 
 
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root may give files to others")
+def test_a_bag_that_is_fetched_belongs_to_who_fetches_it(tmp_path):
+    """For root, tar gave it to whoever has the number here that the robot's user has there, setuid included."""
+    there, here = tmp_path / "there", tmp_path / "here"
+    for folder in (there, here):
+        folder.mkdir()
+    (there / "bag.mcap").touch()
+    os.chown(there / "bag.mcap", 12345, 12345)
+    (there / "bag.mcap").chmod(0o4755)
+    assert bag_recorder._unpacked(["sh", "-c", for_any_shell(f"tar -C {there} -cf - .")], here) is None
+    found = (here / "bag.mcap").stat()
+    assert (found.st_uid, found.st_mode & 0o7000) == (0, 0)
+
+
 @pytest.mark.parametrize(
     ("sending", "unpacking", "told"),
     [
@@ -504,3 +519,32 @@ def test_why_a_bag_has_no_number_of_messages_is_told(record, programs, monkeypat
     context = record(RosBag(["odom"]))
     assert context.measures["BagMessages"] is None
     assert [each.problem for each in context.broker.findings] == [problem]
+
+
+@pytest.mark.parametrize(
+    ("robot", "by", "missing", "problems"),
+    [
+        ("simulated", "auto", (), []),
+        ("simulated", "auto", ("mcap",), ["mcap, which writes the bag, cannot be imported"]),
+        ("simulated", "program", (), ["ros2 cannot record a simulated robot"]),
+        ("dds", "link", ("mcap",), ["mcap, which writes the bag, cannot be imported"]),
+        ("dds:domain=7", "auto", ("mcap", "ros2"), ["mcap, which writes the bag, cannot be imported"]),
+        ("ros2", "auto", ("mcap",), []),
+        ("ros1", "link", ("rosbags",), ["rosbags, which writes the bag, cannot be imported"]),
+        ("ros1", "link", ("mcap",), []),
+        ("ros1", "program", ("rosbag",), ["the program 'rosbag', which records the bag, is not there"]),
+        ("ros1", "program", ("rosbags",), []),
+        ("rosbridge://robot:9090", "link", ("mcap",), []),
+    ],
+)
+def test_the_check_tells_what_is_missing_to_write_the_bag(monkeypatch, robot, by, missing, problems):
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None if name in missing else name)
+    monkeypatch.setattr("shutil.which", lambda name: None if name in missing else name)
+    findings = list(RosBag(["odom"], by=by).check(Circumstances(robot=robot)))
+    assert [each.problem for each in findings] == problems
+    assert all(each.is_error and each.fix for each in findings)
+
+
+def test_the_host_or_the_setup_file_has_the_program_that_records(monkeypatch):
+    monkeypatch.setattr("shutil.which", lambda _: None)
+    assert list(RosBag(["odom"], by="program", setup="/opt/ros/noetic/setup.bash").check(Circumstances("ros1"))) == []

@@ -12,6 +12,7 @@ from robot_runner.core.errors import PluginError
 from robot_runner.core.events.measure import Origin
 from robot_runner.core.events.window import Window
 from robot_runner.core.links.robot import Encoding
+from robot_runner.core.plugin import Circumstances
 from robot_runner.ros.ros_topics import RosTopics
 from robot_runner.ros.topic_statistics import HeaderReader, ReceivedTopic, missed
 from robot_runner.testing import FakeClock, FakeLinks, FakeRobotLink, ProfilerContract, make_context, rehearse
@@ -293,3 +294,12 @@ def test_the_rate_is_shown_while_the_topic_is_heard(tmp_path, monkeypatch):
     assert len(seen) > 90
     assert [float(row["rate_Hz"]) for row in seen[2:]] == [pytest.approx(20.0)] * (len(seen) - 2)
     assert not shown.exists()
+
+
+def test_without_rosbags_the_check_refuses_to_subscribe_topics_of_the_simulated_robot(monkeypatch):
+    assert list(RosTopics({"odom": None}).check(Circumstances("simulated"))) == []
+    monkeypatch.setattr("importlib.util.find_spec", lambda _: None)
+    (finding,) = RosTopics({"odom": None}).check(Circumstances("simulated"))
+    assert finding.is_error
+    assert finding.problem == "rosbags, which serialises the simulated robot's messages, cannot be imported"
+    assert finding.fix == "Install it: pip install 'robot-runner[bag]'."

@@ -127,10 +127,36 @@ def test_a_type_that_the_robot_has_not_installed_is_refused(server, tmp_path):
 
 
 @pytest.mark.parametrize(
+    ("kind", "use"),
+    [
+        ("publisher", lambda link: link.publish("lamp", "my_robot/Lamp", {"on": True})),
+        ("subscription", lambda link: link.subscribe("lamp", "my_robot/Lamp", print)),
+    ],
+)
+def test_a_type_that_only_the_robots_own_node_has_installed_is_refused(server, tmp_path, monkeypatch, kind, use):
+    # The topic is there with its type, as the node uses it; a server that lacks the package tells only its log.
+    (tmp_path / "my_robot" / "msg").mkdir(parents=True)
+    (tmp_path / "my_robot" / "msg" / "Lamp.msg").write_text("bool on\n")
+    answer, of_the_node = server._rosapi.answer, ["/lamp_driver"]
+    told = {
+        "/rosapi/topics": {"topics": ["/lamp"], "types": ["my_robot/Lamp"]},
+        "/rosapi/topic_type": {"type": "my_robot/Lamp"},
+        "/rosapi/publishers": {"publishers": of_the_node},
+        "/rosapi/subscribers": {"subscribers": of_the_node},
+    }
+    monkeypatch.setattr(server._rosapi, "answer", lambda service, asked: told.get(service) or answer(service, asked))
+    with (
+        closing(linked(server, f"?types={tmp_path}")) as link,
+        pytest.raises(LinkError, match=f"does not take the {kind} of type my_robot/Lamp"),
+    ):
+        use(link)
+
+
+@pytest.mark.parametrize(
     ("question", "not_yet", "ask"),
     [
         ("topic_type", {"type": ""}, lambda link: link.publish("chatter", STRING, {"data": "a"})),
-        ("topics", {"topics": [], "types": []}, lambda link: link.subscribe("chatter", STRING, print)),
+        ("subscribers", {"subscribers": []}, lambda link: link.subscribe("chatter", STRING, print)),
         ("service_type", {"type": ""}, lambda link: link.offer("lamp", TRIGGER, lambda _: {})),
     ],
     ids=["publisher", "subscription", "service"],
@@ -330,12 +356,13 @@ def test_a_type_that_only_the_robot_knows_is_asked_of_it(generation, field, tmp_
         assert "float64[] angles" in link.definition("my_robot/Arm")
 
 
-def test_what_is_too_big_for_a_server_is_said(server):
+@pytest.mark.parametrize("said", ["received", "sent"])
+def test_what_is_too_big_for_a_server_or_for_us_is_said(server, said):
     with closing(linked(server)) as link:
-        link._transport._session._lose("received 1009 (message too big)")
+        link._transport._session._lose(f"{said} 1009 (message too big)")
         with pytest.raises(LinkError, match="message too big") as caught:
             link.publish("chatter", STRING, {"data": "a"})
-    assert "Send less at once" in caught.value.fix
+    assert caught.value.fix == "Send less at once: 64 MiB come at most, 10 MB go to ROS 2 (max_message_size)."
 
 
 def test_types_that_two_threads_learn_at_once_are_both_known(monkeypatch):

@@ -115,7 +115,7 @@ class Blind(Sound):
 BREACHES = [
     (Speechless, "test_it_says_what_is_to_hold_in_one_line", "write __str__"),
     (Rash, "test_it_holds_once_what_it_asks_for_is_there", "before it was made to"),
-    (Rash, "test_a_wait_in_vain_tells_what_was_awaited", "although nobody made it hold"),
+    (Rash, "test_a_wait_in_vain_tells_what_was_awaited", "although nothing made it hold"),
     (Shared, "test_two_watches_know_nothing_of_each_other", "watching changed the condition"),
     (Leaking, "test_what_was_opened_is_closed", "left behind"),
     (Fixless, "test_its_check_speaks_in_findings", "offers no fix"),

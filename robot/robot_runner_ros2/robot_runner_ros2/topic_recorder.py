@@ -64,7 +64,7 @@ def _checked_type(node: Node, topic: str) -> str:
         if found:
             raise TaskError(f"{topic} carries {found[0]}, not pictures: set video.topic")
         time.sleep(0.1)
-    raise TaskError(f"nobody publishes {topic}: start the camera's node, or set video.topic")
+    raise TaskError(f"no node publishes {topic}: start the camera's node, or set video.topic")
 
 
 if __name__ == "__main__":

@@ -126,7 +126,7 @@ class Optimise:
         """Yield errors: nothing to vary, too many steps, no Optuna, a baseline that does not fit."""
         where = self._where
         if find_spec("optuna") is None:
-            problem = "the library Optuna is not installed, which decides where to search"
+            problem = "Optuna, the library that decides where to search, is not installed"
             yield Finding.error(where, problem, "Install the extra: pip install 'robot-runner[adaptive]'")
         if all(len(factor.treatments) == 1 for factor in factors):
             problem = "no factor has two treatments, so that there is nothing to search among"

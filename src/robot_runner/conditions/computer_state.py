@@ -169,7 +169,7 @@ class _Temperature(_OfComputer):
 
     def _silence(self, kinds: list[str]) -> str:
         there = f"; it has {', '.join(kinds)}" if kinds and self.sensor is not None else ""
-        return f"{self.computer} does not tell {'its temperature' if self.sensor is None else self.sensor}{there}"
+        return f"{self.computer} does not report {'its temperature' if self.sensor is None else self.sensor}{there}"
 
 
 @dataclass(frozen=True)
@@ -187,7 +187,7 @@ class _Load(_OfComputer):
             if now is None and self.computer.host == LOCAL:
                 now = _psutil_times()
             if now is None:
-                return f"{self.computer} does not tell its load"
+                return f"{self.computer} does not report its load"
             then, before = before, now
             if then is None or now[0] <= then[0]:
                 return "the second look tells"
@@ -254,7 +254,7 @@ class ComputerBattery(_OfComputer):
             ]
             if not charges and self.computer.host == LOCAL:
                 charges = _psutil_charge()
-            return min(charges, default=f"{self.computer} tells of no battery")
+            return min(charges, default=f"{self.computer} reports no battery")
 
         return read
 

@@ -185,7 +185,7 @@ class _ProcessRunning(_OfComputer):
     def check(self, robot: str | None) -> Iterable[Finding]:
         yield from super().check(robot)
         if self.computer.host == LOCAL and not Path("/proc/self/stat").exists() and find_spec("psutil") is None:
-            problem = "psutil, which tells of processes here, is missing"
+            problem = "psutil, which lists the processes here, is missing"
             yield Finding.error(f"condition {str(self)!r}", problem, _PSUTIL)
 
     def looker(self, link: LocalHost | SshHost) -> Callable[[], Look]:
@@ -262,7 +262,7 @@ class _Throttled(_OfComputer):
             texts = link.read_files([*firmware, *counters])
             flags, counts = (texts[0] if firmware else None), texts[len(firmware) :]
             if flags is None and not counts:
-                seen = f"{self.computer} does not tell whether its processor is throttled"
+                seen = f"{self.computer} does not report whether its processor is throttled"
                 return Look(holds=False, seen=seen, is_known=False)
             told = {path: int(text) for path, text in zip(counters, counts, strict=True) if text and text.isdigit()}
             # A core that came online again has counted before; and each core counts the events of all of them.

@@ -34,9 +34,9 @@ def node_present(node: str, *, namespace: str = "") -> Condition:
 
 
 def topic_present(topic: str, message_type: str | None = None, *, namespace: str = "") -> Condition:
-    """Return the condition that a topic is on the robot's graph: somebody publishes or subscribes it.
+    """Return the condition that a topic is on the robot's graph: a node publishes or subscribes it.
 
-    A subscription of the run's own counts, too; await a message (`message_on`) where somebody must publish.
+    A subscription of the run's own counts, too; await a message (`message_on`) where a node must publish.
 
     Args:
         topic: its name, relative to the robot's namespace unless it begins with `/`.
@@ -174,7 +174,7 @@ class _Present(_OnGraph):
         if name not in there:
             near = nearest(name, there)
             if self.kind == "service" and not there:
-                return Look(holds=False, seen="the graph tells of no services", is_known=False)
+                return Look(holds=False, seen="the graph does not list its services", is_known=False)
             seen = f"{len(there)} {self.kind}s are there{f', among them {near}' if near else ''}"
             return Look(holds=False, seen=f"{name} is not: {seen}")
         if self.kind == "node" and isinstance(link, AsksNodes) and not link.answers(name):

@@ -126,7 +126,7 @@ class _PortOpen(Condition):
         except OSError as error:
             reason = "no answer" if isinstance(error, TimeoutError) else error.strerror or str(error)
             return Look(holds=False, seen=f"port {self.port}: {reason}")
-        return Look(is_open, f"port {self.port}: {'open' if is_open else 'nobody listens'}")
+        return Look(is_open, f"port {self.port}: {'open' if is_open else 'closed'}")
 
 
 @dataclass(frozen=True)

@@ -335,9 +335,9 @@ class _RobotBattery(_TopicField):
         """Return the charge in %; boards without it publish NaN or a negative number, and some publish percents."""
         share = _number_at(message, self.field, str(self))
         if share > _MOST_SHARE:
-            seen = f"the robot tells a {self.field} of {share:.6g}, and ROS has it from 0 to 1"
+            seen = f"the robot reports a {self.field} of {share:.6g}, and ROS has it from 0 to 1"
             return f"{seen}; topic_above and topic_below take it as it is"
-        return _PERCENT * share if share >= 0 else "the robot does not tell its charge"
+        return _PERCENT * share if share >= 0 else "the robot does not report its charge"
 
 
 def _number_at(message: Message, field: str, where: str) -> float:

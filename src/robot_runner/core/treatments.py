@@ -71,8 +71,8 @@ def treatment(factor: str) -> Any:
 
     Example:
         >>> from robot_runner.plugins.systems import BasicTurtlebot3
-        >>> BasicTurtlebot3(speed=treatment("Speed"))  # doctest: +ELLIPSIS
-        <...BasicTurtlebot3 object at ...>
+        >>> BasicTurtlebot3(speed=treatment("Speed"))
+        BasicTurtlebot3(...)
     """
     return Treatment(factor)
 

@@ -227,7 +227,7 @@ class Battery(Profiler):
         fullest = max(heard.series(heard.charge).values, default=0.0) / 100
         if fullest > _FULLEST:
             yield (
-                f"the robot says percentage = {fullest:.3g}, where {_TYPE} has 0 to 1: ChargeUsed may be 100-fold",
+                f"the robot reports percentage = {fullest:.3g}, where {_TYPE} has 0 to 1: ChargeUsed may be 100-fold",
                 ("ChargeUsed",),
             )
         if (volts := _full_voltage(heard)) is not None:
@@ -238,7 +238,7 @@ class Battery(Profiler):
         joules = values.get("Energy")
         if joules is not None and joules < 0:
             yield (
-                f"the energy is {joules:.4g} J: the robot tells its current with the wrong sign, or was charged",
+                f"the energy is {joules:.4g} J: the robot reports its current with the wrong sign, or was charged",
                 ("Energy",),
             )
 

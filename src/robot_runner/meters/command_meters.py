@@ -165,7 +165,7 @@ class EnergiBridge(CommandProfiler):
         """Publish the values, with a doubt where the energy is not the processor's, or not that of all processors."""
         told = {row["told"] for row in self._measured.rows} if self._measured is not None else set()
         if _WHOLE in told:
-            problem = f"the power is that of the whole computer ({_WHOLE}): this Mac tells none of its processor"
+            problem = f"the power is that of the whole computer ({_WHOLE}): this Mac reports none of its processor"
             context.doubt(problem, fix="Compare it with such values only, or use Powermetrics.", measures=_OF_ENERGY)
         # EnergiBridge reads the registers of core 0, and on AMD's processors those of further cores, of which the last
         # processor remains in the output (src/cpu/*.rs).
@@ -299,7 +299,8 @@ class PowerJoular(CommandProfiler):
         yield from super().doubts(measured)
         silent = sum(row.get(_POWER, "") is None for row in measured.rows)
         if silent:
-            yield f"PowerJoular said 0 W in {silent} of {len(measured.rows)} rows: it found no energy counter to read"
+            rows = f"{silent} of {len(measured.rows)} rows"
+            yield f"PowerJoular reported 0 W in {rows}: it found no energy counter to read"
 
 
 _NANO = 1e-9

@@ -122,7 +122,7 @@ class ElectricalProfiler(PolledProfiler[Readings]):
         """
         told = super().checked(reading)
         if len(told) != len(self.channels) or not all(isinstance(each, ElectricalReading) for each in told):
-            raise ValueError(f"the meter said {told}, not an ElectricalReading for each channel")
+            raise ValueError(f"the meter returned {told}, not an ElectricalReading for each channel")
         return told
 
     def columns(self, sampling: Sampling[Readings]) -> Sequence[Column]:

@@ -199,7 +199,7 @@ def doubts_about_readings(sampling: Sampling[Readings], place: int = 0) -> Itera
 def _stuck(sampling: Sampling[Readings], place: int) -> Iterator[str]:
     within = sampling.within()
     for standstill in standstills(within.times, [_standing(readings, place) for readings in within.readings], sampling):
-        yield f"the meter said the same{{of}} {standstill}: it may be stuck"
+        yield f"the meter reported the same value{{of}} {standstill}: it may be stuck"
 
 
 def standstills(times: Sequence[float], values: Sequence[object], sampling: Sampling[Any]) -> Iterator[str]:

@@ -86,9 +86,9 @@ class LabCamera(Profiler):
         self._forget()
 
     def claims(self, robot: str | None) -> Iterable[str]:
-        """Return a claim of the camera."""
+        """Return a claim of the camera, which other users of this machine see."""
         del robot
-        return (f"device:camera {self.device}",)
+        return (f"device:camera {without_secrets(self.device)}",)
 
     def check(self, circumstances: Circumstances) -> Iterable[Finding]:
         """Return errors if ffmpeg or the device is missing."""

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 #: A zone in whole degrees, taken for thousandths, shows less than this, in degC, which a working processor has only
 #: for a moment: for less than this share of the samples.
 _WHOLE_DEGREES, _A_MOMENT = 0.15, 0.05
-_SILENT = "this machine tells neither of temperature nor of frequency"
+_SILENT = "this machine reports neither temperature nor frequency"
 
 
 class _Processor(Meter[Conditions]):
@@ -128,7 +128,7 @@ class LinuxThermal(PolledProfiler[Conditions]):
             if not there
         ]
         warnings = [
-            Finding.warning(where, f"this machine does not tell of {measures}: no value") for measures in missing
+            Finding.warning(where, f"this machine does not report {measures}: no value") for measures in missing
         ]
         return [*warnings, *simulation_findings(self.name, circumstances.robot)]
 
@@ -186,7 +186,7 @@ class LinuxThermal(PolledProfiler[Conditions]):
         if odd > _A_MOMENT * len(temperatures):
             yield (
                 f"a thermal zone reported temperatures below {_WHOLE_DEGREES} °C in {odd} of {len(temperatures)} "
-                "samples: it may tell whole degrees, not thousandths"
+                "samples: it may report whole degrees, not thousandths"
             )
         held_back = _held_back(sampling.readings)
         if any(held_back):

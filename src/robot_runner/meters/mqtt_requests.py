@@ -79,16 +79,21 @@ class MqttRequests:
         """Publish the request and return the answers, by topic.
 
         Raises:
-            LinkError: the connection was lost, or an answer did not come in time.
+            LinkError: the connection was lost, an answer did not come in time, or others come without end.
         """
         if not self._client.is_connected():
             self._connect()
         # First read late answers, which are not for this request. paho takes one message at a time, and TLS may have
         # taken more from the network than that.
+        deadline = time.monotonic() + self._timeout
         while (line := self._client.socket()) is not None and (
             select.select([line], [], [], 0.0)[0] or (isinstance(line, ssl.SSLSocket) and line.pending())
         ):
             self._client.loop(0)
+            if time.monotonic() > deadline:
+                problem = f"messages on {', '.join(self._exchange.answers)} come faster than they can be read"
+                fix = "See that only the plug sends there, and less often."
+                raise LinkError(problem, where=self._where, fix=fix)
         self._answers.clear()
         self._client.publish(self._exchange.topic, self._exchange.payload)
         missing = set(self._exchange.answers)

@@ -218,7 +218,7 @@ class PerfStat(CommandProfiler):
             elif shares and min(shares) < _FULL_TIME:
                 yield name, f"{event!r} was counted in {min(shares):.0f} % of the time only, and scaled up by perf"
             if event.startswith(_PACKAGES) and (dies := self._dies_alike()):
-                yield name, f"perf adds up the energy of {dies} dies, and each tells that of its whole package"
+                yield name, f"perf adds up the energy of {dies} dies, and each reports that of its whole package"
 
     def _dies_alike(self) -> int:
         """Return on how many dies the kernel reads the counters of fewer AMD packages, as Linux before 6.12; else 0."""

@@ -66,7 +66,7 @@ def _number(fields: Mapping[str, Any], name: str, *, unit: float = 1.0) -> float
     if value is None:
         return None
     if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        raise ValueError(f"the plug says {name} = {value!r}, which is not a number")
+        raise ValueError(f"the plug reports {name} = {value!r}, which is not a number")
     return value * unit
 
 
@@ -154,7 +154,7 @@ class _ShellyFirst:
         joules = _number(fields, "total", unit=unit)
         power, voltage, current = (_number(fields, name) for name in ("power", "voltage", "current"))
         if fields.get("is_valid") is False:
-            raise ValueError("the plug says that its reading is not valid")
+            raise ValueError("the plug reports that its reading is not valid")
         if joules is None:  # without a counter it measures nothing, like a Shelly 1: the power is a set one
             power = None
         return _required(ElectricalReading(power, voltage, current, joules), meters)
@@ -194,7 +194,7 @@ class _ShellyLater:
         errors = fields.get("errors")
         for error in errors if isinstance(errors, list) else ():
             if str(error).startswith(_OF_METER):
-                raise ValueError(f"the plug says {error!r} of its power meter")
+                raise ValueError(f"the plug reports {error!r} for its power meter")
         joules = _number(_fields(fields, "aenergy"), "total", unit=_WATT_HOUR)
         power, voltage, current = (_number(fields, name) for name in ("apower", "voltage", "current"))
         return _required(ElectricalReading(power, voltage, current, joules), told)

@@ -120,7 +120,7 @@ class PolledProfiler(Profiler, Generic[R]):
             ValueError: it is none; it counts as failed.
         """
         if reading is None:
-            raise ValueError("the meter said nothing")
+            raise ValueError("the meter returned nothing")
         return reading
 
     def details(self) -> Mapping[str, Any]:

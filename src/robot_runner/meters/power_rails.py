@@ -228,7 +228,9 @@ class PowerRails(ElectricalProfiler):
         for rail in chosen:
             if not rail.tells_power:
                 told = " and ".join(rail.files)
-                yield Finding.warning(where, f"rail {rail.name!r} tells its {told} only: no value of energy and power")
+                yield Finding.warning(
+                    where, f"rail {rail.name!r} reports its {told} only: no value of energy and power"
+                )
 
     def _connected(self, context: RobotRunnerContext) -> FileHost:
         host = connect_host(context, self.host, ssh_config=self.ssh_config)

@@ -321,9 +321,9 @@ def _metric_findings(where: str, metric: ScrapedMetric, families: Sequence[Any])
     family = next(each for each in families if any(sample.name == metric.name for sample in each.samples))
     if metric.yields.unit == "1" and _UNIT_IN_HELP.search(family.documentation):
         fix = f"Say so: ScrapedMetric(selector={metric.selector!r}, measure=Measure('Name', 'W', 'What it is.'))."
-        problem = f"the unit of {metric.selector} is 1, as its name tells none; its help says {family.documentation!r}"
+        problem = f"the unit of {metric.selector} is 1, as its name has none; its help is {family.documentation!r}"
         yield Finding.warning(where, problem, fix)
     told = family.type
     if told in {"counter", "gauge"} and (told == "counter") != metric.counts:
         fix = f"Say so: ScrapedMetric(selector={metric.selector!r}, is_counter={told == 'counter'})."
-        yield Finding.error(where, f"the exporter says that {metric.name} is a {told}", fix)
+        yield Finding.error(where, f"the exporter declares that {metric.name} is a {told}", fix)

@@ -234,7 +234,7 @@ class PsUtil(Profiler):
             return link.sample_processes(self.rate_hz, self.selection.processes, is_streamed=self.is_streamed)
         if self._has_selection:
             raise LinkError(
-                "this computer does not tell of single processes or cores",
+                "this computer does not report single processes or cores",
                 where=self.name,
                 fix="Leave processes and cores out.",
             )

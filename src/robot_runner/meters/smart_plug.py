@@ -166,7 +166,7 @@ class SmartPlug(ElectricalProfiler):
         is_whole = len(watts) >= _COARSE_READINGS and all(power == round(power) for power in watts)
         if is_whole and sum(watts) / len(watts) < 1 / _COARSE_SHARE:
             remedy = " (Tasmota's command `WattRes 2` corrects that)" if self.kind == "tasmota" else ""
-            yield f"the plug tells its power in whole watts, at {sum(watts) / len(watts):.0f} W{remedy}"
+            yield f"the plug reports its power in whole watts, at {sum(watts) / len(watts):.0f} W{remedy}"
 
     def details(self) -> Mapping[str, Any]:
         """Return the kind and address of the plug."""

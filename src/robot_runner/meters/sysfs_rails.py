@@ -107,7 +107,7 @@ def _number(file: RailFile, line: str | None) -> float:
     try:
         return (float(line) + file.offset) * file.scale
     except ValueError:
-        raise ValueError(f"{file.path} says {line!r}, which is not a number") from None
+        raise ValueError(f"{file.path} holds {line!r}, which is not a number") from None
 
 
 def find_rails(host: FileHost, root: str = "/sys") -> list[Rail]:
@@ -293,6 +293,8 @@ def _iio_file(path: str, kind: str, match: re.Match[str], unit: float, lines: Ma
             return float(lines[name]) if name else otherwise
         except ValueError as error:
             fix = "Look at the sensor's files there."
-            raise LinkError(f"{name} says {lines[name or '']!r}, which is not a number", where=path, fix=fix) from error
+            raise LinkError(
+                f"{name} holds {lines[name or '']!r}, which is not a number", where=path, fix=fix
+            ) from error
 
     return RailFile(path, setting("scale", 1.0) * unit, setting("offset", 0.0))

@@ -11,6 +11,7 @@ from functools import cache
 from pathlib import Path
 
 from robot_runner.core.errors import PluginError
+from robot_runner.core.secret_names import without_secret_settings
 
 FFMPEG, FFPROBE = "ffmpeg", "ffprobe"
 #: Instead of an encoder: keeps the camera's encoding.
@@ -95,13 +96,15 @@ def missing_programs() -> list[str]:
 
 
 def without_secrets(text: str) -> str:
-    """Return a text without the users and passwords in its addresses.
+    """Return a text without the logins in its addresses, and without the passwords that are settings there.
 
     Example:
         >>> without_secrets("rtsp://lab:secret@camera/stream: refused")
         'rtsp://...@camera/stream: refused'
+        >>> without_secrets("rtsp://camera/user=lab&password=secret&channel=1")
+        'rtsp://camera/user=lab&password=...&channel=1'
     """
-    return re.sub(r"://[^/\s]*@", "://...@", text)
+    return without_secret_settings(re.sub(r"://[^/\s]*@", "://...@", text), "...")
 
 
 def frame_times(video: Path) -> list[float]:

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 from robot_runner.core.errors import LinkError, PluginError
 from robot_runner.core.links.robot import Encoding, Qos, RawMessage, RobotLink
 from robot_runner.ros.bag_metadata import Contents, offered_profiles
-from robot_runner.ros.opened_bag import types_in
+from robot_runner.ros.opened_bag import INSTALL, types_in
 from robot_runner.ros.recorded_bag import RecordedBag
 
 if TYPE_CHECKING:
@@ -23,7 +23,6 @@ if TYPE_CHECKING:
 
 #: How many messages of a bag are read for when it began, and for the period of each topic.
 _FIRST = 2000
-_INSTALL = "Install it: pip install 'robot-runner[bag]'."
 
 
 def new_bag(folder: Path, encoding: Encoding) -> McapBag | Ros1Bag:
@@ -36,7 +35,7 @@ def new_bag(folder: Path, encoding: Encoding) -> McapBag | Ros1Bag:
         return Ros1Bag(folder / "bag.bag") if encoding is Encoding.ROS1 else McapBag(folder / "bag.mcap")
     except ModuleNotFoundError as error:
         raise PluginError(
-            f"bags cannot be written: {error.name} cannot be imported", where="RosBag", fix=_INSTALL
+            f"bags cannot be written: {error.name} cannot be imported", where="RosBag", fix=INSTALL
         ) from error
 
 

@@ -237,8 +237,8 @@ class Session:
     def loneliness(self) -> str:
         """Return the fix where no other node is on the graph."""
         return (
-            f"Nobody else is on domain {self.domain}: give the ROS_DOMAIN_ID of the robot (robot = 'dds:domain=…'),"
-            " and see that multicast reaches it."
+            f"No other participant is on domain {self.domain}: give the ROS_DOMAIN_ID of the robot "
+            "(robot = 'dds:domain=…'), and see that multicast reaches it."
         )
 
     def close(self) -> None:

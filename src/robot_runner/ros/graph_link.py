@@ -136,7 +136,7 @@ class GraphLink:
         return advertised.publisher.reach()  # also subscribers since it was first advertised
 
     def is_heard(self, topic: str, qos: Qos = Qos.DEFAULT) -> bool:
-        """Whether a message on a topic would reach anybody now; True where that is not known."""
+        """Whether a message on a topic would reach a subscriber now; True where that is not known."""
         advertised = self._advertised.get((self._name(topic), qos))
         return advertised is None or advertised.publisher.is_heard()
 

@@ -189,7 +189,7 @@ def need_findings(link: GraphListing, need: GraphNeed, where: str) -> Iterator[F
 def _published(link: GraphListing, need: GraphNeed, where: str) -> Iterator[Finding]:
     publishers = link.publishers(need.name)
     if not publishers:
-        yield _missing(f"nobody publishes {need.name!r}", link.topics(), need, where)
+        yield _missing(f"no node publishes {need.name!r}", link.topics(), need, where)
         return
     told = {each.message_type for each in publishers if is_told(each.message_type)}
     if need.types and told and not told & set(need.types):
@@ -201,7 +201,7 @@ def _published(link: GraphListing, need: GraphNeed, where: str) -> Iterator[Find
 
 def _subscribed(link: GraphListing, need: GraphNeed, where: str) -> Iterator[Finding]:
     if not link.subscribers(need.name):
-        yield _missing(f"nobody subscribes {need.name!r}", link.topics(), need, where)
+        yield _missing(f"no node subscribes {need.name!r}", link.topics(), need, where)
         return
     if need.types:
         yield from subscriber_type_findings(link, need.name, need.types, where)

@@ -255,7 +255,7 @@ def silent_publishers(names: Iterable[str]) -> str:
 def nobody_publishes(topic: str, known: Iterable[str]) -> str:
     """Return the advice where no node publishes a topic; `known` are the published topics."""
     near = nearest(topic, [name for name in known if name != topic])
-    return f"Nobody publishes {topic!r}: " + (f"did you mean {near!r}?" if near else "start the node that does.")
+    return f"No node publishes {topic!r}: " + (f"did you mean {near!r}?" if near else "start the node that does.")
 
 
 def link_closed(where: str) -> LinkError:

@@ -17,7 +17,8 @@ from robot_runner.ros.type_store import type_hash
 if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore
 
-_INSTALL = "Install it: pip install 'robot-runner[bag]'."
+#: What installs the packages that read and write bags.
+INSTALL = "Install it: pip install 'robot-runner[bag]'."
 #: Separates the definition of a type from those that it is made of, and several files of IDL.
 _RULE = "=" * 80 + "\n"
 #: Lines such as `#include`, which the parser of rosbags does not know; the bag has the included definitions anyway.
@@ -55,7 +56,7 @@ class OpenedBag:
             from rosbags.rosbag2 import Reader as Reader2  # noqa: PLC0415  # an extra
         except ModuleNotFoundError as error:
             problem = f"bags cannot be read: {error.name} cannot be imported"
-            raise PluginError(problem, where="PlayBag", fix=_INSTALL) from error
+            raise PluginError(problem, where="PlayBag", fix=INSTALL) from error
         is_ros2 = path.is_dir() or path.suffix != ".bag"
         self.encoding = Encoding.CDR if is_ros2 else Encoding.ROS1
         self._opened = ExitStack()
@@ -80,7 +81,17 @@ class OpenedBag:
     def has_no_index(self) -> bool:
         """Whether it has MCAP without chunks, where messages out of order are refused only as they are come to."""
         storage = getattr(self._reader, "storage", None)
-        return any(getattr(each, "chunks", None) == [] for each in getattr(storage, "storages", [storage]))
+        return any(getattr(each, "chunks", None) == [] for each in self._parts or [storage])
+
+    @property
+    def filed(self) -> Mapping[str, Any]:
+        """The connections in the files of a folder that have messages, whatever `metadata.yaml` tells, by topic."""
+        return {each.topic: each for part in self._parts for each in part.connections if each.msgcount}
+
+    @property
+    def _parts(self) -> Sequence[Any]:
+        """The readers of the files of a folder; none of a bag that is a file."""
+        return getattr(getattr(self._reader, "storage", None), "storages", ())
 
     def raw_messages(self, connections: Iterable[Any]) -> Iterator[tuple[Any, int, bytes]]:
         """Yield connection, time in ns since the epoch, and bytes of each message, in their order."""
@@ -98,11 +109,10 @@ class OpenedBag:
 
         The reader of a folder identifies a connection in the files by its QoS, too.
         """
-        storages = getattr(self._reader.storage, "storages", None) if self.encoding is Encoding.CDR else None
-        if storages is None:
+        if not self._parts:
             return [connection]
         found: list[Any] = []
-        for each in (each for storage in storages for each in storage.connections):
+        for each in (each for part in self._parts for each in part.connections):
             filed = connection._replace(ext=each.ext, digest=each.digest)
             if (each.topic, each.msgtype) == (connection.topic, connection.msgtype) and filed not in found:
                 found.append(filed)

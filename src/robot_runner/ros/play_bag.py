@@ -189,7 +189,7 @@ class PlayBag(RobotSystem):
         """Open the bag, and have its topics on the graph.
 
         Raises:
-            PluginError: the bag cannot be played, or somebody else publishes one of its topics.
+            PluginError: the bag cannot be played, or another node publishes one of its topics.
             LinkError: the robot cannot be reached, or does not know one of its types.
         """
         self._played, self._is_played, self._span, self._program = Played(), False, None, None

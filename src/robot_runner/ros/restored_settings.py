@@ -119,7 +119,7 @@ class RestoredSettings(OfTheRobot, System):
         self._is_set = True
 
     def stop_run(self, context: RobotRunnerContext) -> None:
-        """Restore the values from before the run; warn of those that somebody else has changed during it.
+        """Restore the values from before the run; warn of those that something else has changed during it.
 
         Raises:
             LinkError: a node does not answer, or does not accept a value.
@@ -168,7 +168,7 @@ class RestoredSettings(OfTheRobot, System):
         """Restore the former values, node by node, the last one first; yield what is not restored, with a fix.
 
         Where the run's own `context` is given, all values are restored. Those of a dead run are restored only where
-        they are still as that run set them: somebody else may have changed them since, or restarted the node.
+        they are still as that run set them: another program may have changed them since, or restarted the node.
         """
         errors: list[LinkError] = []
         for node, before in reversed(list(kept.before.items())):

@@ -151,7 +151,7 @@ class _Client:
         self._transport.wait(self._heard, timeout)
         if not self._heard.is_set():
             self.close()
-            problem = f"the action server does not tell its states within {timeout:g} s"
+            problem = f"the action server does not report its states within {timeout:g} s"
             raise LinkError(problem, where=self._action, fix="Check whether its node is alive and reachable from here.")
 
     def send(self, goal: Message, sent: SentGoal, timeout: float) -> None:

@@ -136,7 +136,7 @@ def check_running(was_shut_down: Callable[[], bool], where: str) -> None:
         LinkError: it was: by `rosnode kill`, by the config, or by a signal where the config has initialised the node.
     """
     if was_shut_down():
-        fix = "Have nobody end this node or call rospy.signal_shutdown while a run executes."
+        fix = "Leave this node and rospy.signal_shutdown alone while a run executes."
         raise LinkError("the ROS node of this process was shut down", where=where, fix=fix)
 
 

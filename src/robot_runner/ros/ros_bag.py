@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import shutil
 import time
 from collections.abc import Iterable, Sequence
@@ -13,8 +14,9 @@ from robot_runner.core.errors import Finding, PluginError, did_you_mean
 from robot_runner.core.events.context import RobotRunnerContext, SystemClock
 from robot_runner.core.events.measure import Measure, Origin
 from robot_runner.core.events.window import Window
+from robot_runner.core.links.connect import is_simulated
 from robot_runner.core.links.declared_host import LOCAL
-from robot_runner.core.links.robot import RobotLink
+from robot_runner.core.links.robot import Encoding
 from robot_runner.core.links.ssh_command import ssh_findings
 from robot_runner.core.plugin import Circumstances
 from robot_runner.measuring.evaluation import note_own_window, publish_measures
@@ -22,12 +24,16 @@ from robot_runner.measuring.parameter_checks import check_numbers
 from robot_runner.ros.bag_file import LinkRecorder, began_late, messages_in
 from robot_runner.ros.bag_recorder import PROGRAMS, BagProgram, await_subscriptions, subscriptions_of
 from robot_runner.ros.graph_addresses import is_of_environment
-from robot_runner.ros.topic_statistics import TopicProfiler, TypedTopic, robot_findings, topic_label
+from robot_runner.ros.opened_bag import INSTALL
+from robot_runner.ros.topic_statistics import TopicProfiler, TypedTopic, topic_label
 
 _FIX = "Look at the bag before you use this run."
 _BEGINS_WITH_RUN = "ROS' own recorders begin as the run does; RosBag(by='link') records the mission alone."
 #: How long after the mission's begin a bag may begin without a warning, s.
 _LATE = 0.02
+#: The package that writes bags of each generation of ROS, and the links that tell which one a robot is of.
+_WRITERS = {Encoding.ROS1: "rosbags", Encoding.CDR: "mcap"}
+_GENERATIONS = {"ros1": Encoding.ROS1, "ros2": Encoding.CDR, "dds": Encoding.CDR}
 
 
 class _By(StrEnum):
@@ -109,11 +115,24 @@ class RosBag(TopicProfiler):
         self._advice = ""
 
     def check(self, circumstances: Circumstances) -> Iterable[Finding]:
-        """Return findings: there is no robot, or a host cannot be reached."""
-        findings = robot_findings(self.name, circumstances)
+        """Yield findings: no robot, a host that cannot be reached, or nothing here that writes the bag."""
+        yield from super().check(circumstances)
+        robot, where = circumstances.robot or "", f"plugin {self.name}"
+        encoding = Encoding.CDR if is_simulated(robot) else _GENERATIONS.get(robot.partition(":")[0])
         if self.host != LOCAL:
-            findings += ssh_findings(f"plugin {self.name}", self.host, config=self.ssh_config)
-        return findings
+            yield from ssh_findings(where, self.host, config=self.ssh_config)
+        if encoding is None or self.host != LOCAL or self.setup is not None:
+            return  # it is known on the robot's graph only, or where that file is sourced
+        try:
+            is_by_program = self._is_by_program(encoding, robot, is_simulated=is_simulated(robot))
+        except PluginError as error:
+            yield Finding.error(where, error.problem, error.fix)
+            return
+        if is_by_program and shutil.which(PROGRAMS[encoding]) is None:
+            problem = f"the program {PROGRAMS[encoding]!r}, which records the bag, is not there"
+            yield Finding.error(where, problem, "Source the setup file of ROS, or say by='link'.")
+        if not is_by_program and importlib.util.find_spec(_WRITERS[encoding]) is None:
+            yield Finding.error(where, f"{_WRITERS[encoding]}, which writes the bag, cannot be imported", INSTALL)
 
     def start_run(self, context: RobotRunnerContext) -> None:
         """Prepare the recording, or begin it where ROS' own program records.
@@ -134,7 +153,7 @@ class RosBag(TopicProfiler):
             fix = "Name topics that the robot publishes: " + ", ".join(sorted(link.topics())) + "."
             raise PluginError(f"none of the topics {', '.join(self.topics)} is there", where=self.name, fix=fix)
         folder = context.raw_data_folder
-        if self._is_by_program(link, str(context.robot)):
+        if self._is_by_program(link.encoding, str(context.robot), is_simulated=link.is_simulated):
             before = subscriptions_of(link, list(there))
             self._begun_at, self._advice = context.clock.now(), _BEGINS_WITH_RUN
             self._recorder = BagProgram(
@@ -197,13 +216,13 @@ class RosBag(TopicProfiler):
         if self._recorded is None and self._begun_at is not None:
             self._recorded = Window(self._begun_at, context.clock.now())
 
-    def _is_by_program(self, link: RobotLink, robot: str) -> bool:
-        program = PROGRAMS[link.encoding]
-        if self.by is _By.LINK or link.is_simulated:
+    def _is_by_program(self, encoding: Encoding, robot: str, *, is_simulated: bool) -> bool:
+        program = PROGRAMS[encoding]
+        if self.by is _By.LINK or is_simulated:
             if self.by is _By.PROGRAM:
                 fix = "Leave `by` out: the simulated robot is on no graph."
                 raise PluginError(f"{program} cannot record a simulated robot", where=self.name, fix=fix)
             return False
         if self.host != LOCAL or self.setup is not None or self.by is _By.PROGRAM:
             return True
-        return is_of_environment(robot, link.encoding) and shutil.which(program) is not None
+        return is_of_environment(robot, encoding) and shutil.which(program) is not None

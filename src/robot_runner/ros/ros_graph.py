@@ -120,7 +120,7 @@ class RosGraph(Profiler):
         if not self.nodes:
             return findings
         if is_simulated(circumstances.robot):
-            problem = "the computer of a simulated robot does not tell of the processes of nodes"
+            problem = "the computer of a simulated robot does not report the processes of nodes"
             return [*findings, Finding.error(f"plugin {self.name}", problem, "Leave nodes out.")]
         reach = host_findings(
             self.name, circumstances.robot, host=self.host, ssh_config=self.ssh_config, has_selection=True
@@ -155,7 +155,7 @@ class RosGraph(Profiler):
             computer = self._computer(context)
             if not isinstance(computer, ProcessHost):
                 fix = "Name the computer that the nodes run on in `host`."
-                raise LinkError("this computer does not tell of single processes", where=self.name, fix=fix)
+                raise LinkError("this computer does not report single processes", where=self.name, fix=fix)
             self._begun_at = machine_clock(context).now()
             self._sampler = computer.sample_processes(self.rate_hz, processes)
             if isinstance(self._sampler, PromptSampler):

@@ -396,5 +396,5 @@ class Session:
     def _loss(self, reason: str) -> LinkError:
         fix = "Check whether the robot is on and in this network, and whether its rosbridge server runs."
         if "message too big" in reason:  # as RFC 6455 calls code 1009
-            fix = "Send less at once: a server of ROS 2 takes 10 MB, if its max_message_size is not another."
+            fix = f"Send less at once: {LARGEST_FRAME >> 20} MiB come at most, 10 MB go to ROS 2 (max_message_size)."
         return LinkError(f"the connection is lost: {reason}", where=self.where, fix=fix)

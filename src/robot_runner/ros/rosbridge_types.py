@@ -9,7 +9,7 @@ import math
 import os
 import threading
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import LinkError
@@ -135,13 +135,22 @@ class Rosapi:
             LinkError: it does not.
         """
         wanted = plain_type(message_type)
-        self._confirm(topic, wanted, "the publisher", lambda: self.topic_type(topic) == wanted)
+        self._confirm(topic, wanted, "the publisher", lambda: self._is_there("publishers", topic, {wanted}))
 
     def confirm_subscription(self, topic: str, message_type: str) -> None:
         """Check that the server subscribes a topic; otherwise as `confirm_publisher`."""
         wanted = plain_type(message_type)
         # Of a topic that nobody publishes, rosapi knows the name and not the type.
-        self._confirm(topic, wanted, "the subscription", lambda: self.topics().get(topic) in {"", wanted})
+        self._confirm(topic, wanted, "the subscription", lambda: self._is_there("subscribers", topic, {"", wanted}))
+
+    def _is_there(self, question: str, topic: str, types: Collection[str]) -> bool:
+        """Whether the server is one of the `publishers` or `subscribers`; where its name is not known, whether any is.
+
+        The topic's type does not tell: the robot's own node, which has the type, shows it as well.
+        """
+        is_unknown = self._session.generation is None
+        listed = self.endpoints(question, topic)
+        return any(each.message_type in types and (is_unknown or each.is_own) for each in listed)
 
     def confirm_service(self, service: str, service_type: str) -> None:
         """Check that the server offers a service; otherwise as `confirm_publisher`."""
@@ -156,7 +165,7 @@ class Rosapi:
                 f"the rosbridge server does not take {what} of type {type_name}",
                 type_name.partition("/")[0],
             )
-            fix = f"Install the package {package!r} on the robot, or look at the server's log."
+            fix = f"Source a workspace with the package {package!r} where the server is started, or look at its log."
             raise LinkError(problem, where=name, fix=fix)
 
     def has_service_type(self, service_type: str) -> bool:
@@ -239,7 +248,7 @@ class RosapiParameters:
             return json.loads(told or "null")
         except ValueError as error:
             fix = "Look at rosapi's log."
-            raise LinkError(f"rosapi tells its value as {told!r}, which is not JSON", where=name, fix=fix) from error
+            raise LinkError(f"rosapi reports its value as {told!r}, which is not JSON", where=name, fix=fix) from error
 
     def set_parameter(self, name: str, *, value: Any) -> None:
         """Set one.
@@ -335,7 +344,7 @@ class RobotTypes:
             with self._learning:
                 self._catalogue = self._catalogue.with_definition(message_type, text)
         except LinkError as error:
-            _logger.warning("what the robot tells of %s is of no use: %s", message_type, error)
+            _logger.warning("the definition of %s that the robot sent cannot be used: %s", message_type, error)
             return False
         return True
 

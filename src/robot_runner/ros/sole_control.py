@@ -123,7 +123,7 @@ class SoleControl:
         command = velocity_of(message_type, message) if is_velocity else message
         if not is_from_here(self._command_topic, command) and not self._is_over.is_set():
             rivals = _others(self._link.publishers(self._command_topic))
-            who = named(rivals) if rivals else "somebody else"
+            who = named(rivals) if rivals else "another node"
             shown = _velocity(command) if is_velocity else shorten(str(command), _SHOWN)
             self._tell(tell, f"{who} commands the robot on {self._command_topic!r}: {shown}")
 
@@ -158,7 +158,7 @@ def sole_publisher_findings(link: GraphListing, topic: str, where: str) -> Itera
 
 
 def subscriber_type_findings(link: GraphListing, topic: str, types: Collection[str], where: str) -> Iterator[Finding]:
-    """Yield the error that nobody subscribes a topic as one of these types, and somebody does as another."""
+    """Yield the error that no node subscribes a topic as one of these types, and some node does as another."""
     listening = _others(link.subscribers(topic))
     if listening and not any(each.message_type in types or not is_told(each.message_type) for each in listening):
         found = enumerated(sorted({each.message_type for each in listening}))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import math
 import re
 import struct
@@ -15,12 +16,13 @@ from typing import ClassVar, NamedTuple
 from robot_runner.core.errors import Finding, PluginError
 from robot_runner.core.events.context import RobotRunnerContext
 from robot_runner.core.events.window import Window
-from robot_runner.core.links.connect import connect_robot, is_simulation, robot_namespace
+from robot_runner.core.links.connect import connect_robot, is_simulated, is_simulation, robot_namespace
 from robot_runner.core.links.graph_names import full_name
 from robot_runner.core.links.robot import Encoding, RawMessage, RobotLink
 from robot_runner.core.plugin import Circumstances, Profiler
 from robot_runner.measuring.parameter_checks import no_robot
 from robot_runner.measuring.quality import Column, SampleQuality, quality_of
+from robot_runner.ros.opened_bag import INSTALL
 from robot_runner.ros.robot_system import OfTheRobot
 from robot_runner.ros.sole_control import is_told
 
@@ -79,7 +81,10 @@ class TopicProfiler(OfTheRobot, Profiler):
     patience: float
 
     def check(self, circumstances: Circumstances) -> Iterable[Finding]:
-        """Return a finding if there is no robot."""
+        """Return a finding: no robot, or the embedded one without the package that serialises its messages."""
+        if is_simulated(circumstances.robot) and importlib.util.find_spec("rosbags") is None:
+            problem = "rosbags, which serialises the simulated robot's messages, cannot be imported"
+            return [Finding.error(f"plugin {self.name}", problem, INSTALL)]
         return robot_findings(self.name, circumstances)
 
     def found(self, names: Iterable[str], context: RobotRunnerContext) -> Mapping[str, TypedTopic | None]:

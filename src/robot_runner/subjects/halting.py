@@ -303,7 +303,7 @@ class _CommandedRobots:
                 raise
         else:
             if empty and not had_joined:
-                raise LinkError("nobody subscribes it any more", where=empty[0], fix="See that it stands still.")
+                raise LinkError("no node subscribes it any more", where=empty[0], fix="See that it stands still.")
 
     def _link(self, robot: str) -> RobotLink:
         if robot not in self._links:

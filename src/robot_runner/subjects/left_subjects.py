@@ -34,7 +34,7 @@ def tell_left_subjects(root: Path) -> Iterator[Finding]:
         if commanded is None or commanded.problem() is not None or commanded.is_copied():
             continue
         what = f"while {folder.name} commanded the robot ({enumerated(sorted(commanded.by_robot()))})"
-        problem = f"{MAY_BE_MOVING}: an earlier execution was killed {what}, and nobody was left to stop it"
+        problem = f"{MAY_BE_MOVING}: an earlier execution was killed {what}, and no process was left to stop it"
         fix = "Start the experiment again, which stops it before anything else, or stop it by hand."
         yield Finding.warning(folder.name, problem, fix)
 

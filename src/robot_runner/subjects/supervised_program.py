@@ -273,7 +273,7 @@ class SupervisedProgram(Start):
                 self._supervisor.kill()
                 self._supervisor.wait()
         self.end_orphans()
-        return self.ended() or Ended(None, "nobody knows how")
+        return self.ended() or Ended(None, "it is not known how")
 
     @contextmanager
     def _turn(self) -> Iterator[tuple[int, ...]]:

@@ -101,7 +101,7 @@ class ConditionContract:
             except ConditionTimeout as error:
                 require(str(condition) in error.problem, f"the error does not say what was awaited: {error}")
             else:
-                raise AssertionError(f"it holds that {condition} although nobody made it hold")
+                raise AssertionError(f"it holds that {condition} although nothing made it hold")
 
     def test_two_watches_know_nothing_of_each_other(self, tmp_path: Path) -> None:
         """Check that one object can be used in several runs at once: state must belong to a watch."""
@@ -110,7 +110,7 @@ class ConditionContract:
             before = dict(vars(condition)) if hasattr(condition, "__dict__") else {}
             look = self._watched(condition, second, opened)
             self._watched(condition, first, opened)()
-            require(not look().holds, f"it holds that {condition} in a run in which nobody made it hold")
+            require(not look().holds, f"it holds that {condition} in a run in which nothing made it hold")
             after = dict(vars(condition)) if hasattr(condition, "__dict__") else {}
             require(before == after, "watching changed the condition: keep what a look needs in `watch`")
 

@@ -213,7 +213,7 @@ class GraphLinkContract(RobotLinkContract):
                     require(types == {_STRING}, f"the types of what is there are {types}")
                 self.until(lambda: any(each.is_own for each in link.subscribers("chatter")), "no own subscription")
                 self.until(lambda: any(each.is_own for each in robot.publishers("chatter")), "no own publisher")
-                require(not link.publishers("nothing"), "somebody publishes a topic that is not there")
+                require(not link.publishers("nothing"), "a topic that is not there has a publisher")
             self.until(lambda: not link.publishers("chatter"), "a publisher that left is listed for ever")
 
     def test_a_topic_is_on_the_graph_before_its_first_message(self) -> None:

@@ -221,8 +221,8 @@ def test_before_and_after_experiment_that_both_raise_are_both_told(execute: Exec
             """
         )
     assert [(each.where, each.problem) for each in ended.value.findings] == [
-        ("before_experiment of config", "ValueError: no robot"),
-        ("after_experiment of config", "ValueError: no lamp either"),
+        ("before_experiment of config", "ValueError: no robot (config.py:9)"),
+        ("after_experiment of config", "ValueError: no lamp either (config.py:10)"),
     ]
 
 
@@ -353,5 +353,6 @@ def before_run(self, context):
 def test_an_error_whose_text_ends_the_program_fails_its_run_and_no_more(execute: Execute) -> None:
     odd = "type('Odd', (Exception,), {'__str__': lambda self: exit(3)})()"
     executed = execute(f"def before_run(self, context):\n    if context.run_number == 1: raise {odd}")
-    assert executed.finished.failures == ("r_1: before_run of config: Odd: (its text could not be made: SystemExit)",)
+    (failure,) = executed.finished.failures
+    assert failure == "r_1: before_run of config: Odd: (its text could not be made: SystemExit) (config.py:10)"
     assert executed.finished.done_count == 3

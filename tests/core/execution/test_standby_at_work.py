@@ -160,6 +160,35 @@ def test_a_robot_whose_server_or_network_is_back_some_seconds_after_the_run_s_de
     assert set(told) == {"/alice/cmd_vel geometry_msgs/Twist {}"}
 
 
+@pytest.mark.long
+@pytest.mark.filterwarnings("ignore:.*multi-threaded:DeprecationWarning")
+@pytest.mark.parametrize("silent", ["", "rosbridge://bob"])
+def test_no_robot_drives_on_while_another_one_that_the_run_commanded_too_does_not_answer(
+    write_config: Callable[..., Path], monkeypatch: pytest.MonkeyPatch, silent: str
+) -> None:
+    experiment = prepare_or_refuse(write_config("", head=HEAD, table=TABLE))
+    told = (folder := experiment.config_path.parent) / "told"
+
+    def link(graph: str) -> Told:
+        if graph != silent:
+            return Told(folder)
+        wait_until(lambda: told.exists() and told.read_text(encoding="utf-8"), "the other robot is told", seconds=10.0)
+        raise LinkError("nothing answers there", where="robot", fix="See whether it is on.")
+
+    monkeypatch.setattr(Told, "close", lambda _: None, raising=False)
+    bob = SimpleNamespace(open_robot=lambda _, **__: link("rosbridge://bob"))
+    monkeypatch.setattr(standby_module, "resolved_robot", lambda _: (bob, SimpleNamespace(namespace="")))
+    monkeypatch.setattr(standby_module, "connect_robot", lambda _context: link(""))
+    monkeypatch.setattr(standby_module, "RETRYING", 0.0)
+    monkeypatch.setattr(commanded_topics, "_TELLING", 0.2)
+    both = ("/alice/cmd_vel", "geometry_msgs/Twist"), ("/bob/cmd_vel", "geometry_msgs/Twist", "rosbridge://bob")
+    for commanded in (both, both[::-1]):
+        told.unlink(missing_ok=True)
+        with after_death(experiment, *commanded, care=Care.OUT_OF_REACH) as problem:
+            assert "nothing answers there" in problem
+        assert len(told.read_text(encoding="utf-8").splitlines()) > 2, "again and again"
+
+
 def test_a_robot_that_has_not_answered_is_not_waited_for_again_for_each_system(monkeypatch: pytest.MonkeyPatch) -> None:
     """Each waited for 5 s, so that a network that was away for 7 s was tried again after 20 s only."""
     tries: list[str] = []
@@ -309,7 +338,7 @@ def test_of_a_robot_that_is_simulated_in_the_run_s_own_process_nobody_is_told(
 
 @contextmanager
 def after_death(
-    experiment: Experiment, *commanded: tuple[str, str], began: Care = Care.RUN, care: Care = Care.MADE_SAFE
+    experiment: Experiment, *commanded: tuple[str, ...], began: Care = Care.RUN, care: Care = Care.MADE_SAFE
 ) -> Iterator[str]:
     """Have the systems of a first run made safe that has died, while a second one has begun beside it.
 

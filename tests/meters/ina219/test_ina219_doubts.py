@@ -87,7 +87,7 @@ def test_a_sensor_that_was_wired_the_wrong_way_round_is_told(tmp_path):
 def test_a_bus_without_voltage_is_told(tmp_path):
     chunks = [Chunk(0.0, hello(0, 0))]
     chunks += [Chunk(0.005 * at, sample(at, 5000 * at, 6000 + at % 3, 0)) for at in range(600)]
-    assert any("samples saw no voltage" in problem for problem in measured(tmp_path, chunks)[1])
+    assert any("samples show no voltage" in problem for problem in measured(tmp_path, chunks)[1])
 
 
 def test_an_energy_that_was_clipped_is_a_least_energy(tmp_path):

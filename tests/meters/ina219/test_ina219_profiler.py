@@ -113,8 +113,8 @@ def test_values_say_where_they_come_from(measure, is_simulated, origin):
 def test_a_shunt_or_a_rate_that_contradicts_the_meter_is_told(measure):
     context = measure(steady().chunks(start=0.0, end=3.0), shunt_ohm=0.05, rate_hz=100.0)
     assert problems(context) == [
-        "the power meter says that its shunt has 0.1 ohm, not 0.05 ohm",
-        "the power meter says that it samples at 200 Hz, not at 100 Hz",
+        "the power meter reports that its shunt has 0.1 ohm, not 0.05 ohm",
+        "the power meter reports that it samples at 200 Hz, not at 100 Hz",
     ]
 
 

@@ -179,7 +179,8 @@ def test_the_check_asks_for_the_plugins_whose_samples_it_reads():
         "the model reads the samples of 'PsUtil', which is not among the plugins",
         "the model reads the samples of 'BasicTurtlebot3', which is not among the plugins",
     ]
-    assert "Did you mean 'Psutil'?" in findings[0].fix
+    fixes = ["Add it to the plugins. Did you mean 'Psutil'?", "Add it to the plugins."]
+    assert [finding.fix for finding in findings] == fixes
     assert list(PowerModel(coefficients=STEADY).check(Circumstances(plugins=plugins))) == []
 
 

@@ -153,7 +153,7 @@ def test_a_synthetic_camera_is_recorded(alice, robot):
 def test_a_camera_topic_that_nobody_publishes_is_told(bob):
     success, message = call(bob, "task/video/start")
     assert not success
-    assert "nobody publishes /camera: start the camera's node, or set video/topic" in message
+    assert "no node publishes /camera: start the camera's node, or set video/topic" in message
 
 
 @pytest.fixture

@@ -112,11 +112,11 @@ def test_a_mission_that_need_not_be_alone_is_doubtful_where_it_was_not(tmp_path:
         mission = TopicMission("lamp", _TEXT, {"data": "on"}, until=2.0, sole_control=is_sole)
         context = make_context(tmp_path, mission, robot="dds", links=FakeLinks(robot=link), clock=clock)
         if is_sole:
-            with pytest.raises(RunFailed, match=r"somebody else commands the robot on '/lamp': {'data': 'off'}"):
+            with pytest.raises(RunFailed, match=r"another node commands the robot on '/lamp': {'data': 'off'}"):
                 rehearse(context, mission)
         else:
             assert rehearse(context, mission)["Messages"] == 20
-            assert "somebody else commands the robot" in context.broker.findings[0].problem
+            assert "another node commands the robot" in context.broker.findings[0].problem
 
 
 def test_a_rival_that_moves_a_robot_sideways_is_not_taken_for_our_command_to_stand_still(tmp_path: Path) -> None:
@@ -129,7 +129,7 @@ def test_a_rival_that_moves_a_robot_sideways_is_not_taken_for_our_command_to_sta
     clock.at(1.0, lambda: link.deliver("/cmd_vel", sideways))
     mission = TopicMission("cmd_vel", _TWIST, {}, until=2.0)
     context = make_context(tmp_path, mission, robot="dds", links=FakeLinks(robot=link), clock=clock)
-    with pytest.raises(RunFailed, match=r"somebody else commands the robot on '/cmd_vel': .*'y': 0\.3"):
+    with pytest.raises(RunFailed, match=r"another node commands the robot on '/cmd_vel': .*'y': 0\.3"):
         rehearse(context, mission)
     assert clock.now() == pytest.approx(1.0, abs=0.2)
 

@@ -160,7 +160,7 @@ def test_a_robot_that_tells_no_direction_is_not_driven(tmp_path: Path) -> None:
     clock.every(0.05, lambda: link.deliver("odom", _odometry(clock.now(), w=0.0)))
     ahead = Waypoints([(0.0, 1.0)])
     context = make_context(tmp_path, ahead, robot="dds", links=FakeLinks(robot=link), clock=clock)
-    with pytest.raises(LinkError, match="the odometry tells no direction"):
+    with pytest.raises(LinkError, match="the odometry has no direction"):
         rehearse(context, ahead)
     assert clock.now() < 1.0
     commands = [each.message for each in link.publications if each.topic == "cmd_vel"]

@@ -1,9 +1,11 @@
 from __future__ import annotations
 
 import csv
+import re
 
 import pytest
 
+from robot_runner.core.config.preparation import prepare
 from robot_runner.core.errors import LinkError, PluginError
 from robot_runner.core.events.early_end import RunFailed
 from robot_runner.core.events.measure import Origin
@@ -432,6 +434,30 @@ def test_its_check_is_content_with_tasks_that_are_known(parameters, factors):
     assert list(BasicTurtlebot3(**parameters).check(Circumstances(robot="simulated", factors=factors))) == []
 
 
+@pytest.mark.parametrize(
+    ("settings", "told"),
+    [
+        ({"robot": "'simulated'", "repetitions": 0}, ["repetitions"]),
+        ({"robot": "'simulated',", "repetitions": 1}, ["robot"]),
+    ],
+)
+def test_an_error_elsewhere_in_the_config_is_not_told_as_one_of_the_turtlebot3(write_config, settings, told):
+    """The factor `Task`, or the robot, stood there, and a check said that there was none."""
+    head = """
+from robot_runner import *
+from robot_runner.plugins.profilers import Ina219
+from robot_runner.plugins.systems import BasicTurtlebot3
+class RobotRunnerConfig(ExperimentConfig):
+    experiment_name = "trial"
+    plugins = [BasicTurtlebot3(), Ina219()]
+    robot = {robot}
+    def create_run_table(self):
+        return RunTableModel([Factor("Task", ["Video"])], repetitions={repetitions})
+"""
+    findings = prepare(write_config(head=head.format(**settings), table="")).findings
+    assert [re.split(r"\W+", finding.where)[-1] for finding in findings] == told
+
+
 def test_its_check_says_how_to_name_a_robot():
     findings = list(BasicTurtlebot3().check(Circumstances(factors={"Task": ["Video"]})))
     assert [finding.is_error for finding in findings] == [True]
@@ -470,7 +496,7 @@ def test_a_robot_that_hears_no_commands_is_found_before_the_mission(stage):
 def test_a_topic_of_commands_that_others_publish_and_the_robot_does_not_subscribe_is_found_before_the_mission(stage):
     played = stage()
     played.robot.known_subscribers["/cmd_vel"] = []
-    with pytest.raises(LinkError, match="nobody subscribes '/cmd_vel'") as caught:
+    with pytest.raises(LinkError, match="no node subscribes '/cmd_vel'") as caught:
         played.plugin.start_run(played.context)
     assert "bringup" in caught.value.fix
 

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import math
+import re
 
 import pytest
 from hypothesis import given
@@ -50,6 +51,15 @@ def test_what_is_no_task_names_none(treatment):
 def test_what_the_robot_cannot_do_is_refused(parameters, problem):
     with pytest.raises(PluginError, match=problem):
         CircularMission(**parameters)
+
+
+def test_a_turn_that_is_too_fast_is_refused_with_the_shortest_time_that_it_may_take():
+    with pytest.raises(PluginError) as refused:
+        CircularMission(rotate_s=1)
+    least = float(re.search(r"at least ([\d.]+) s", refused.value.fix)[1])
+    assert CircularMission(rotate_s=least).turn.cruise <= 2.84
+    with pytest.raises(PluginError):
+        CircularMission(rotate_s=least - 0.02)
 
 
 @given(

@@ -56,7 +56,7 @@ def _checked_type(topic: str) -> str:
         if found is not None:
             raise TaskError(f"{topic} carries {found}, not pictures: set video/topic")
         time.sleep(0.1)
-    raise TaskError(f"nobody publishes {topic}: start the camera's node, or set video/topic")
+    raise TaskError(f"no node publishes {topic}: start the camera's node, or set video/topic")
 
 
 if __name__ == "__main__":

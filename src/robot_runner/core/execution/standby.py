@@ -11,12 +11,13 @@ from __future__ import annotations
 import os
 import signal
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack, closing, suppress
 from copy import copy as shallow_copy
 from functools import partial
-from typing import Any, NoReturn
+from itertools import chain
+from typing import Any, NoReturn, TypeVar
 
 from robot_runner.core.config.experiment import Experiment
 from robot_runner.core.errors import LinkError, StorageError
@@ -57,6 +58,8 @@ from robot_runner.core.storage.layout import print_to_log
 from robot_runner.core.storage.outliving import is_stopped
 from robot_runner.core.treatments import factors_of
 from robot_runner.core.words import enumerated
+
+_T = TypeVar("_T")
 
 #: For how long after the run's death, and how often, it is tried again where the robot cannot be reached, s: whatever
 #: killed the run may have killed a server or the network, too, and both may come back.
@@ -252,22 +255,38 @@ class Standby:
         Returns:
             what remains doubtful: topics without a subscriber, and what systems warn of.
         """
-        actions = [each for each in self.state.commanded if each.message_type == CANCELLING]
-        topics = [each for each in self.state.commanded if each.message_type != CANCELLING]
+        commanded = self.state.commanded
+        topics = [each for each in commanded if each.message_type != CANCELLING]
         unheard, cancelling = list[str](), list[Future[None]]()
-        with ThreadPoolExecutor(max(1, len(actions))) as threads, ExitStack() as each_of_them:  # the last one first
-            for each in topics if actions else ():  # the server of an action may have commanded the robot until now
-                each_of_them.callback(connection.stop, each)
+
+        def begin(link: RobotLink, at: Sequence[Commanded]) -> None:
+            try:
+                _command_zero(link, [each for each in at if each in topics])
+            finally:
+                actions = [each.topic for each in at if each not in topics]
+                cancelling.extend(threads.submit(keep_cancelling_goals, link, each) for each in actions)
+
+        with ThreadPoolExecutor(len(commanded) + 1) as threads, ExitStack() as each_of_them:  # the last one first
+            if len(topics) < len(commanded):  # the server of an action may have commanded the robot until now
+                each_of_them.callback(connection.at_graphs, _command_zero, topics)
             each_of_them.callback(lambda: [each.result() for each in cancelling])
-            each_of_them.callback(lambda: unheard.extend(connection.stop_again(topics)))
+            each_of_them.callback(lambda: unheard.extend(chain(*connection.at_graphs(_keep_commanding_zero, topics))))
             for system in self.systems:
                 each_of_them.callback(made_safe, system, connection.contexts(system.name))
-            for each in actions:
-                each_of_them.callback(lambda at: cancelling.append(connection.begin_cancelling(at, threads)), each)
-            for each in topics:  # a config, which has no `make_safe`, may have commanded, too
-                each_of_them.callback(connection.stop, each)
+            each_of_them.callback(connection.at_graphs, begin, commanded)  # a config may have commanded, too
         gone = [f"nobody subscribes to {enumerated(sorted(unheard))} any more"] if unheard else []
         return [*gone, *connection.warnings]
+
+
+def _command_zero(link: RobotLink, topics: Sequence[Commanded]) -> None:
+    """Publish a zero velocity on each topic, also after one has failed."""
+    with ExitStack() as each_of_them:
+        for topic, message_type, _ in topics:
+            each_of_them.callback(link.publish, topic, message_type, {})
+
+
+def _keep_commanding_zero(link: RobotLink, topics: Sequence[Commanded]) -> list[str]:
+    return keep_commanding_zero(link, [(topic, message_type) for topic, message_type, _ in topics])
 
 
 class _Connection:
@@ -281,6 +300,7 @@ class _Connection:
     def __init__(self, experiment: Experiment, task: RunTask) -> None:
         self._robot = experiment.parameters.robot
         self._resources = RobotTriedOnce()
+        self._others: dict[str, RobotTriedOnce] = {}
         self.warnings: list[str] = []
         self.contexts = run_contexts(
             experiment, task, clock=SystemClock(), resources=self._resources, report=self._take
@@ -290,40 +310,47 @@ class _Connection:
         if kind == "finding":
             self.warnings.append(str(fields["problem"]))
 
-    def _link(self, graph: str) -> RobotLink:
-        """Return the link to the run's robot, or to a graph that a callback has reached by itself."""
-        if graph in {"", self._robot} or (self._robot is not None and graph == resolved_robot(self._robot)[1].graph):
-            return connect_robot(self.contexts(CONFIG_OWNER))
-        kind, name = resolved_robot(graph)
-        opener = partial(
-            kind.open_robot, name, resources=self._resources, clock=SystemClock(), seed=1, namespace=name.namespace
-        )
-        return self._resources.open(link_key("graph", graph), opener)
-
-    def stop(self, commanded: Commanded) -> None:
-        """Publish a zero velocity."""
-        self._link(commanded.graph).publish(commanded.topic, commanded.message_type, {})
-
-    def begin_cancelling(self, commanded: Commanded, threads: ThreadPoolExecutor) -> Future[None]:
-        """Cancel the goals of an action in a thread, for some seconds; the future raises what that does."""
-        return threads.submit(keep_cancelling_goals, self._link(commanded.graph), commanded.topic)
-
-    def stop_again(self, commanded: Sequence[Commanded]) -> list[str]:
-        """Repeat the zero velocity for some seconds, on all graphs at once, and until every subscriber is reached.
+    def at_graphs(
+        self, act: Callable[[RobotLink, Sequence[Commanded]], _T], commanded: Sequence[Commanded]
+    ) -> list[_T]:
+        """Do something at all graphs at once, so that no robot waits for another that does not answer.
 
         Returns:
-            the topics without any subscriber.
+            what it returned at each.
 
         Raises:
-            LinkError: a subscriber of a topic is not reached.
+            Exception: the first that it has raised; the others are done then.
         """
-        by_graph: dict[str, list[tuple[str, str]]] = {}
-        for topic, message_type, graph in commanded:
-            by_graph.setdefault(graph, []).append((topic, message_type))
-        with ThreadPoolExecutor(max(1, len(by_graph))) as threads:
-            told = [threads.submit(keep_commanding_zero, self._link(graph), at) for graph, at in by_graph.items()]
-        return [topic for each in told for topic in each.result()]
+        by_graph: dict[str, list[Commanded]] = {}
+        for each in commanded:
+            by_graph.setdefault("" if self._is_of_run(each.graph) else each.graph, []).append(each)
+        graphs = list(by_graph.items())
+        with ThreadPoolExecutor(len(graphs) + 1) as threads:
+            others = [threads.submit(self._act_at, graph, act, of) for graph, of in graphs[1:]]
+            done = [self._act_at(graph, act, of) for graph, of in graphs[:1]]  # here: no thread may be had any more
+        return [*done, *(each.result() for each in others)]
+
+    def _act_at(self, graph: str, act: Callable[[RobotLink, Sequence[Commanded]], _T], of: Sequence[Commanded]) -> _T:
+        return act(self._link(graph), of)
+
+    def _is_of_run(self, graph: str) -> bool:
+        """Return whether a graph is that of the run's robot, and not one that a callback has reached by itself."""
+        return graph in {"", self._robot} or (self._robot is not None and graph == resolved_robot(self._robot)[1].graph)
+
+    def _link(self, graph: str) -> RobotLink:
+        """Return the link to a graph; empty for that of the run's robot."""
+        if not graph:
+            return connect_robot(self.contexts(CONFIG_OWNER))
+        # Of its own: while something is opened, whatever else the same resources have to open waits.
+        resources = self._others.setdefault(graph, RobotTriedOnce())
+        kind, name = resolved_robot(graph)
+        opener = partial(
+            kind.open_robot, name, resources=resources, clock=SystemClock(), seed=1, namespace=name.namespace
+        )
+        return resources.open(link_key("robot", graph), opener)
 
     def close(self) -> None:
         """Close the links."""
-        self._resources.close()
+        with ExitStack() as each_of_them:
+            for resources in (self._resources, *self._others.values()):
+                each_of_them.callback(resources.close)

@@ -11,9 +11,11 @@ from robot_runner.core.links.robot import Encoding, Message, RobotLink
 #: action_msgs/srv/CancelGoal: the server refuses to cancel.
 _REFUSED = 1
 _NOW = {"sec": 0, "nanosec": 0}
-#: actionlib_msgs/GoalStatus: pending and active, without a cancel request; action_msgs/GoalStatus: accepted, executing.
-_EXECUTED, _EXECUTED_IN_ROS2 = {0, 1}, {1, 2}
-#: The timeout for a server's states after a cancel request, s: it publishes them five times a second.
+_FIX = "Look at the log of its server, and stop the robot by hand."
+#: A goal that is not over, by actionlib_msgs/GoalStatus (pending, active, preempting, recalling) and by
+#: action_msgs/GoalStatus (accepted, executing, canceling): many servers take a cancel request and do not look at it.
+_GOES_ON, _GOES_ON_IN_ROS2 = {0, 1, 6, 7}, {1, 2, 3}
+#: How often, s, a server of ROS 1 is asked again where its states, published five times a second, show such a goal.
 _TOLD_SECONDS = 1.0
 #: The timeout for a server's answer, s.
 _ANSWER_SECONDS = 5.0
@@ -31,13 +33,13 @@ def cancel_all_goals(link: RobotLink, action: str, *, timeout: float = _ANSWER_S
     Args:
         link: to a robot whose graph is known: a server that it lacks has ended, and is not waited for.
         action: its full name.
-        timeout: of the server's answer, s.
+        timeout: of the server's answer, and then of the end of its goals, s.
 
     Raises:
-        LinkError: the server refuses, or does not answer.
+        LinkError: the server refuses, does not answer, or goes on.
     """
     if _request(link, action, timeout, min(_TOLD_SECONDS, timeout)):
-        _see_cancelled(link, action)
+        _see_ended(link, action, timeout)
 
 
 def keep_cancelling_goals(link: RobotLink, action: str) -> None:
@@ -52,7 +54,7 @@ def keep_cancelling_goals(link: RobotLink, action: str) -> None:
             break
         time.sleep(_ASK_AGAIN)
     if is_there:
-        _see_cancelled(link, action)
+        _see_ended(link, action, _ANSWER_SECONDS)
 
 
 def _request(link: RobotLink, action: str, timeout: float, patience: float) -> bool:
@@ -77,51 +79,51 @@ def _request(link: RobotLink, action: str, timeout: float, patience: float) -> b
     return True
 
 
-def _see_cancelled(link: RobotLink, action: str) -> None:
-    """Raise a `LinkError` if a server of ROS 2 tells that it goes on executing a goal.
+def _see_ended(link: RobotLink, action: str, timeout: float) -> None:
+    """Raise a `LinkError` if a server of ROS 2 tells that a goal goes on.
 
     That of rclpy refuses every cancel request unless its author allows it, and answers that there was no error.
     """
-    if link.encoding is Encoding.ROS1:  # such a server was asked until it told that it does not
+    if link.encoding is Encoding.ROS1:  # such a server was asked until it told that none does
         return
     told: list[Message] = []
 
-    def is_none_executed(states: Message) -> bool:
+    def is_none_left(states: Message) -> bool:
         told.append(states)
-        return _is_none_executed(states, _EXECUTED_IN_ROS2)
+        return _is_none_left(states, _GOES_ON_IN_ROS2)
 
     topic, message_type = f"{action}/_action/status", "action_msgs/GoalStatusArray"
     try:
-        link.wait_for(topic, message_type, is_none_executed, timeout=_TOLD_SECONDS)
+        link.wait_for(topic, message_type, is_none_left, timeout=timeout)
     except LinkError as error:
         if told and action in link.actions():  # one that has had no goal tells nothing
-            raise _refusal(action) from error
+            raise _going_on(action, timeout) from error
 
 
 def _refusal(action: str) -> LinkError:
-    fix = "Look at the log of its server, and stop the robot by hand."
-    return LinkError("the action server refuses to cancel its goals", where=action, fix=fix)
+    return LinkError("the action server refuses to cancel its goals", where=action, fix=_FIX)
+
+
+def _going_on(action: str, timeout: float) -> LinkError:
+    problem = f"the action server's goals do not end within {timeout:g} s after it was asked to cancel them"
+    return LinkError(problem, where=action, fix=_FIX)
 
 
 def _request_in_ros1(link: RobotLink, action: str, timeout: float) -> bool:
-    """Repeat the request until the server's states show no active goal, as ROS 1 does not answer such a request."""
+    """Repeat the request until the server's states show no goal that goes on, as ROS 1 does not answer a request."""
     deadline = time.monotonic() + timeout
     while True:
         link.publish(f"{action}/cancel", "actionlib_msgs/GoalID", {"stamp": _NOW, "id": ""})
         try:
-            link.wait_for(
-                f"{action}/status", "actionlib_msgs/GoalStatusArray", _is_none_executed, timeout=_TOLD_SECONDS
-            )
+            link.wait_for(f"{action}/status", "actionlib_msgs/GoalStatusArray", _is_none_left, timeout=_TOLD_SECONDS)
         except LinkError as error:
             if action not in link.actions():
                 return False
             if time.monotonic() >= deadline:
-                problem = f"the action server does not tell within {timeout:g} s that it cancels its goals"
-                fix = "Look at the log of its server, and stop the robot by hand."
-                raise LinkError(problem, where=action, fix=fix) from error
+                raise _going_on(action, timeout) from error
         else:
             return True
 
 
-def _is_none_executed(states: Message, executed: Collection[int] = _EXECUTED) -> bool:
-    return not any(each["status"] in executed for each in states["status_list"])
+def _is_none_left(states: Message, goes_on: Collection[int] = _GOES_ON) -> bool:
+    return not any(each["status"] in goes_on for each in states["status_list"])

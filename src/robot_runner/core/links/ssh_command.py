@@ -292,7 +292,7 @@ class KeptConnection:
         return self._said.read(100_000).decode(errors="replace").strip()
 
     def _unreachable(self, answer: str) -> LinkError:
-        why = gist(answer) or "ssh ended without a word"
+        why = gist(answer) or "ssh ended without a message"
         fix = remedy(self._host, answer, config=self._config)
         return LinkError(f"{self._host} cannot be reached: {why}", where=self._host, fix=fix)
 

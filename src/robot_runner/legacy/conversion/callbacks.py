@@ -139,7 +139,7 @@ def _return_true(method: ast.FunctionDef, statement: str, edits: Edits) -> None:
 
 
 #: The docstring of a method that overrides an inherited callback to which the config did not subscribe.
-NOTHING = "Do nothing: the class that this one derives from hears the event, and this one does not."
+NOTHING = "Do nothing: the class that this one derives from subscribes to the event, and this one does not."
 
 
 def leave_unheard(config: ast.ClassDef, names: CallbackNames, inherited: Inherited, edits: Edits) -> None:

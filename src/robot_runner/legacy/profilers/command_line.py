@@ -210,9 +210,7 @@ class EnergiBridge(CLISource):
         times = [float(row["Time"] or math.nan) for row in rows]
         joules = told[-1] if len(told) > 1 else math.nan
         if math.isnan(joules):
-            warn_of_run(
-                "the log of EnergiBridge tells no energy", fix="See that it may read the processor's registers."
-            )
+            warn_of_run("the log of EnergiBridge has no energy", fix="See that it may read the processor's registers.")
         seconds = (times[-1] - times[0]) / 1000 if times else math.nan
         return f"Energy consumption in joules: {joules} for {seconds} sec of execution"
 

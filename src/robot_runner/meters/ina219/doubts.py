@@ -61,7 +61,7 @@ def voltage_doubts(volts: Sequence[float]) -> Iterator[str]:
     """Yield a doubt if samples have no bus voltage."""
     dead = sum(1 for each in volts if each < _LOWEST_VOLTAGE)
     if dead:
-        yield f"{dead} of {len(volts)} samples saw no voltage: is VIN- connected to the robot, and the battery in?"
+        yield f"{dead} of {len(volts)} samples show no voltage: is VIN- connected to the robot, and the battery in?"
 
 
 def stream_doubts(
@@ -129,6 +129,6 @@ def settings_doubts(stream: SampleStream, shunt: float, rate: float) -> Iterator
         yield f"the power meter reported several shunts ({told} ohm), as where it is exchanged: {shunt:g} ohm counts"
     hello = stream.sensing or stream.hello
     if hello is not None and abs(hello.shunt_ohm - shunt) > 0.001 * shunt:
-        yield f"the power meter says that its shunt has {hello.shunt_ohm:g} ohm, not {shunt:g} ohm"
+        yield f"the power meter reports that its shunt has {hello.shunt_ohm:g} ohm, not {shunt:g} ohm"
     if stream.hello is not None and stream.hello.rate_hz != rate:
-        yield f"the power meter says that it samples at {stream.hello.rate_hz} Hz, not at {rate:g} Hz"
+        yield f"the power meter reports that it samples at {stream.hello.rate_hz} Hz, not at {rate:g} Hz"

@@ -87,7 +87,7 @@ def _read_quality(path: Path) -> dict[str, Any]:
     except MissingFileError as error:
         raise AnalysisError("there is no such file", where=str(path), fix=fix) from error
     except (KeyError, TypeError) as error:
-        problem = f"the file tells of no measured window: {error}"
+        problem = f"the file has no measured window: {error}"
         raise AnalysisError(problem, where=str(path), fix=fix) from error
     if coverage < MINIMUM_COVERAGE:
         problem = f"the power samples cover {coverage:.0f} % of the measured window"

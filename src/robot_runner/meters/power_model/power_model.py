@@ -306,4 +306,4 @@ def _checked(function: PowerFunction, state: RobotState) -> float | None:
 
 
 def _add(name: str, names: Sequence[str]) -> str:
-    return f"Add it to the plugins, or name another: {did_you_mean(name, names)}"
+    return f"Add it to the plugins. {did_you_mean(name, names, otherwise='')}".rstrip()

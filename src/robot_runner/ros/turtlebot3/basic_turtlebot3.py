@@ -177,7 +177,7 @@ class BasicTurtlebot3(SteeredSystem):
                 f"task={self.task!r} is given, and the factor {self.task_factor!r} varies the task",
                 "Leave out task=..., or give task_factor=None if that factor means something else.",
             )
-        elif treatments is None and self.task is None:
+        elif treatments is None and self.task is None and (circumstances.has_run_table or self.task_factor is None):
             yield Finding.error(
                 where,
                 f"there is no factor {self.task_factor!r} that names the task"
@@ -196,7 +196,7 @@ class BasicTurtlebot3(SteeredSystem):
         if task is None:
             raise PluginError(
                 f"{chosen!r} is not a task of the robot",
-                where=f"run {context.run_id}, {self.name}",
+                where=self.name,
                 fix=did_you_mean(str(chosen), _KNOWN_TASKS),
             )
         return task

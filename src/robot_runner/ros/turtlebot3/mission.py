@@ -81,7 +81,9 @@ class CircularMission:
         if self.speed > MAXIMUM_SPEED:
             raise _refusal("speed", self.speed, f"Give a speed of at most {MAXIMUM_SPEED} m/s.")
         if abs(self.turn.cruise) > MAXIMUM_TURN_RATE:
-            raise _refusal("rotate_s", self.rotate_s, f"Give the turn more time: at most {MAXIMUM_TURN_RATE} rad/s.")
+            least = math.ceil(100 * Ramp.covering(self.angle, MAXIMUM_TURN_RATE).seconds) / 100
+            fix = f"Give rotate_s at least {least} s, as the robot turns by at most {MAXIMUM_TURN_RATE} rad/s."
+            raise _refusal("rotate_s", self.rotate_s, fix)
 
     @property
     def way_out(self) -> Ramp:

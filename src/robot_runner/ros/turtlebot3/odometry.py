@@ -45,7 +45,7 @@ _NO_NUMBER = (
     "Look at the node that publishes it, such as a filter that has diverged, and start it again.",
 )
 _NO_DIRECTION = (
-    "the odometry tells no direction: its orientation is zero in x, y, z and w",
+    "the odometry has no direction: its orientation is zero in x, y, z and w",
     "Have the node that publishes it fill in the orientation of the pose, and not its position alone.",
 )
 

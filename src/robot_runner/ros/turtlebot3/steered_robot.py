@@ -252,7 +252,7 @@ class Robot:
             if self._clock.now() >= deadline:
                 fix = "Start the robot's bringup, or correct its namespace."
                 if topic in (topics := self._link.topics()):
-                    raise LinkError(f"nobody subscribes {topic!r}", where=where, fix=fix)
+                    raise LinkError(f"no node subscribes {topic!r}", where=where, fix=fix)
                 raise missing("topic", topic, topics, where=where, fix=fix)
             self._clock.sleep(_LOOK_PERIOD)
         self._wheels.get_ready()
