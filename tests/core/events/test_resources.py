@@ -6,6 +6,7 @@ from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING
 from unittest.mock import Mock
 
+import pytest
 from tests.instructions import Instructions
 
 from robot_runner.core.events import resources
@@ -66,3 +67,15 @@ def test_what_was_left_open_is_closed_with_the_run_that_opened_it_and_what_was_o
         assert closed == ["closed by itself", "left"]
         left.__exit__(None, None, None)
     assert closed == ["closed by itself", "left", "before"]
+
+
+def test_the_end_of_a_run_fails_where_what_a_callback_opened_could_not_be_closed_whatever_the_callback_does() -> None:
+    unreachable = OSError("the network is gone")
+
+    def drive() -> None:
+        with suppress(OSError), opened_here() as own:
+            own.open("robot", lambda: Mock(close=Mock(side_effect=unreachable)))
+
+    with pytest.raises(OSError, match="the network is gone") as caught, closing_left_open():
+        drive()
+    assert caught.value is unreachable

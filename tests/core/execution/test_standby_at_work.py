@@ -270,11 +270,14 @@ def test_why_a_system_could_not_be_made_safe_is_told(
 DRIVEN = """\
     from robot_runner.core.links.commanded_topics import tell_commanded
     def {event}(self, context):
+        from contextlib import nullcontext
+        from robot_runner.core.events.resources import opened_here
         class Link:
             def close(self): {close}
-        context.resources.open("link", Link)
-        {command}
-        raise RuntimeError("a bump")
+        with {opened} as resources:
+            resources.open("link", Link)
+            {command}
+            raise RuntimeError("a bump")
 """
 
 
@@ -282,8 +285,13 @@ DRIVEN = """\
     ("close", "care"), [("pass", Care.SAFE), ("raise OSError('the network is gone')", Care.RUN)], ids=["closed", "not"]
 )
 @pytest.mark.parametrize(
+    "opened",
+    ["nullcontext(context.resources)", "opened_here()"],
+    ids=["the run's link", "a callback's own, as open_robot"],
+)
+@pytest.mark.parametrize(
     ("event", "command"),
-    [("launch_mission", ""), ("start_run", "RobotRunnerConfig.tell_commanded('/cmd_vel', 'Twist')")],
+    [("launch_mission", "pass"), ("start_run", "RobotRunnerConfig.tell_commanded('/cmd_vel', 'Twist')")],
 )
 def test_a_failed_run_without_systems_leaves_a_safe_robot_only_where_its_links_could_be_closed(
     write_config: Callable[..., Path],
@@ -292,10 +300,11 @@ def test_a_failed_run_without_systems_leaves_a_safe_robot_only_where_its_links_c
     care: Care,
     event: str,
     command: str,
+    opened: str,
 ) -> None:
     monkeypatch.setattr(commanded_topics, "_listeners", [])  # the process of a run has its own
     monkeypatch.setattr(run_events, "has_standby", lambda _: True)  # as where the config names a robot
-    body = DRIVEN.format(event=event, close=close, command=command)
+    body = DRIVEN.format(event=event, close=close, command=command, opened=opened)
     experiment = prepare_or_refuse(write_config(body, table=TABLE))
     state = SystemsState()
     with ProgressManager(experiment, Resumption()) as progress, closing(state):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, closing, contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol, TypeVar, cast, runtime_checkable
@@ -49,6 +49,7 @@ class Resources:
         self._opened: dict[str, Closable] = {}
         self._closing = ExitStack()
         self._lock = threading.RLock()  # missions that go on together may open something at the same time
+        self.fault: BaseException | None = None  # what closing has raised
 
     def open(self, key: str, opener: Callable[[], R]) -> R:
         """Return the resource under `key`, opened if it was not; it is closed with the run."""
@@ -66,7 +67,11 @@ class Resources:
             if isinstance(each, Halting):
                 self._closing.callback(each.halt)
         self._opened.clear()
-        self._closing.close()
+        try:
+            self._closing.close()
+        except BaseException as error:
+            self.fault = error
+            raise
 
 
 #: What is open in this process beside the resources of its run.
@@ -76,25 +81,38 @@ os.register_at_fork(after_in_child=_opened_here.clear)
 
 @contextmanager
 def opened_here() -> Iterator[Resources]:
-    """Yield resources of one's own, which are closed at the end of the block, or of the run that left it open."""
-    with closing(Resources()) as resources:
-        _opened_here.add(resources)
-        try:
-            yield resources
-        finally:
-            _opened_here.discard(resources)
+    """Yield resources of one's own, which are closed at the end of the block, or of the run that left it open.
+
+    Where that fails, as a robot cannot be told to stand still, it fails at the end of the run once more.
+    """
+    resources = Resources()
+    _opened_here.add(resources)
+    try:
+        yield resources
+    finally:
+        resources.close()
+        _opened_here.discard(resources)
 
 
 @contextmanager
 def closing_left_open() -> Iterator[None]:
-    """Close resources of `opened_here` that are still open at the end of this block; errors are raised at the end."""
+    """Close resources of `opened_here` that are still open at the end of this block; errors are raised at the end.
+
+    So are those of resources whose closing has failed before: whatever a callback does about them, the run has to know.
+    """
     before = set(_opened_here)
     try:
         yield
     finally:
         with ExitStack() as closing_all:
             for each in _opened_here - before:
-                closing_all.callback(each.close)
+                closing_all.callback(_close_again, each)
+
+
+def _close_again(resources: Resources) -> None:
+    resources.close()
+    if resources.fault is not None:
+        raise resources.fault
 
 
 @dataclass(frozen=True, slots=True)
