@@ -17,6 +17,8 @@ from cyclonedds.core import DDSException, GuardCondition, InstanceState, ReadCon
 from cyclonedds.idl import IdlStruct
 from cyclonedds.idl import types as idl
 
+from robot_runner.core.errors import LinkError
+from robot_runner.core.events.early_end import raised_in_thread
 from robot_runner.ros.action_types import is_action_part
 from robot_runner.ros.message_codec import FILLER
 from robot_runner.ros.qos_policies import KEPT
@@ -168,28 +170,30 @@ def delete(entity: Any) -> None:
 class Source:
     """A reader whose samples are handed to `handler`, one by one.
 
-    Where it keeps `depth` samples at most, `overrun` is called once that many have waited: it may have dropped some.
+    Where it keeps `depth` samples at most, the run fails once that many have waited: it may have dropped some.
     """
 
-    def __init__(
-        self,
-        reader: Any,
-        handler: Callable[[Any], None],
-        where: str,
-        *,
-        depth: int = 0,
-        overrun: Callable[[], None] = lambda: None,
-    ) -> None:
+    def __init__(self, reader: Any, handler: Callable[[Any], None], where: str, *, depth: int = 0) -> None:
         self.reader = reader
         self.handler = handler
         self.where = where
         self.depth = depth
-        self.overrun = overrun
+        self._is_overrun = False
         self.condition = ReadCondition(reader, _ANY)
         self.is_open = True
         self.is_busy = False
         self.afterwards: Callable[[], None] | None = None
         self.faults = 0
+
+    def note_overrun(self) -> None:
+        """Fail the run, once; samples go on, as the robot of a simulation outlives a pause of its process."""
+        if not self._is_overrun:
+            self._is_overrun = True
+            problem = f"callbacks are too slow: {self.depth:,} messages waited for them, and more may be lost"
+            fix = "Have them return sooner, or do their work after the mission, on a bag of it (RosBag)."
+            error = LinkError(problem, where=self.where, fix=fix)
+            if not raised_in_thread(error, f"the callback of {self.where}"):
+                _logger.error("%s", error)
 
 
 class Reception:
@@ -367,8 +371,7 @@ class Reception:
             return True
         source.faults = 0
         if 0 < source.depth <= len(samples):
-            source.overrun()
-            del samples[1:]  # one is enough to fail by, and images fill the memory
+            source.note_overrun()
         had_any = bool(samples)
         source.is_busy = True
         samples.reverse()

@@ -334,12 +334,7 @@ class _Subscription:
         reader = self._session.reader(self._wire_topic, self._wire_type, self._asked)
         # A profile of one's own may drop; and a topic that keeps messages may send as many to a late subscriber.
         depth = 0 if self._qos is not None or policies_of(self._asked).is_kept else KEPT
-        return Source(reader, self._receive, self._topic, depth=depth, overrun=self._overrun)
-
-    def _overrun(self) -> None:
-        problem = f"callbacks are too slow: {KEPT:,} messages waited for them, and more may be lost"
-        fix = "Have them return sooner, or do their work after the mission, on a bag of it (RosBag)."
-        self.misfit = self.misfit or LinkError(problem, where=self._topic, fix=fix)
+        return Source(reader, self._receive, self._topic, depth=depth)
 
     def _end(self, source: Any) -> None:
         self._session.nodes.remove(source.reader.guid)
