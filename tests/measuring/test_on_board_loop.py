@@ -369,7 +369,7 @@ def test_a_form_that_counts_in_whole_seconds_is_doubted_with_how_far_it_may_be_o
     samples = sampler.stop()
     window = Window(start, start + 2.0)
     measured = Utilisation(samples, window, Selection(), sampler.report(), is_simulated=False)
-    processor, memory = (each for each in measured.doubted() if each.problem.startswith("ps tells"))
+    processor, memory = (each for each in measured.doubted() if each.problem.startswith("ps reports"))
     assert "may be off by 50 % of a core" in processor.problem
     assert memory.measures == ("Memory",)
 
