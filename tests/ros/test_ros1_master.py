@@ -48,6 +48,22 @@ def test_where_nobody_listens_there_is_no_master():
     assert "roscore" in caught.value.fix
 
 
+def test_what_named_a_master_that_is_not_there_is_what_is_to_be_corrected(monkeypatch):
+    address = f"http://127.0.0.1:{claim_port()}"
+    monkeypatch.setenv("ROS_MASTER_URI", address)
+    with pytest.raises(LinkError) as caught:
+        Master().check()
+    assert (caught.value.where, caught.value.fix) == (
+        "ROS_MASTER_URI",
+        "Start one (roscore), or correct ROS_MASTER_URI.",
+    )
+    monkeypatch.setenv("ROS_MASTER_URI", "http://elsewhere:11311")
+    with pytest.raises(LinkError) as caught:
+        Master(address).check()
+    assert caught.value.where == f"robot = 'ros1:master={address}'"
+    assert "ROS_MASTER_URI" not in caught.value.fix
+
+
 def test_a_node_of_which_nobody_can_tell_serves_no_other_one():
     assert Master(f"http://127.0.0.1:{claim_port()}").is_serving("/planner", "/cmd_vel", "/robot") is False
 

@@ -92,7 +92,9 @@ class Master:
     """
 
     def __init__(self, uri: str | None = None, *, timeout: float = 3.0) -> None:
-        self.uri = uri or os.environ.get(_URI) or DEFAULT_MASTER
+        usual = os.environ.get(_URI) or DEFAULT_MASTER
+        self.uri = uri or usual
+        self._named_by = _URI if self.uri == usual else f"robot = 'ros1:master={self.uri}'"
         self._host, _ = master_address(self.uri)
         self._timeout = timeout
 
@@ -205,15 +207,16 @@ class Master:
                 code, status, value = getattr(server, method)(caller, *arguments)
         except TimeoutError as error:
             problem = f"the ROS master at {self.uri} does not answer within {self._timeout:g} s"
-            fix = "Check whether the robot is on and in this network, or correct ROS_MASTER_URI."
-            raise LinkError(problem, where=_URI, fix=fix) from error
+            fix = f"Check whether the robot is on and in this network, or correct {self._named_by}."
+            raise LinkError(problem, where=self._named_by, fix=fix) from error
         except (socket.gaierror, UnicodeError) as error:  # a part of the name is empty, or has more than 63 characters
             problem = f"the host of the ROS master, {self._host!r}, is not known"
-            fix = "Correct ROS_MASTER_URI, or give the host's address as a number."
-            raise LinkError(problem, where=_URI, fix=fix) from error
+            fix = f"Correct {self._named_by}, or give the host's address as a number."
+            raise LinkError(problem, where=self._named_by, fix=fix) from error
         except OSError as error:
             problem = f"there is no ROS master at {self.uri}: {(error.strerror or str(error)).lower()}"
-            raise LinkError(problem, where=_URI, fix="Start one (roscore), or correct ROS_MASTER_URI.") from error
+            fix = f"Start one (roscore), or correct {self._named_by}."
+            raise LinkError(problem, where=self._named_by, fix=fix) from error
         return code, status, value
 
     @contextmanager
@@ -224,8 +227,8 @@ class Master:
             raise
         except (xmlrpc.client.Error, ExpatError, HTTPException, LookupError, TypeError, ValueError) as error:
             problem = f"what answers at {self.uri} is not a ROS master"
-            fix = "Correct ROS_MASTER_URI: a master is at port 11311, if not started elsewhere."
-            raise LinkError(problem, where=_URI, fix=fix) from error
+            fix = f"Correct {self._named_by}: a master is at port 11311, if not started elsewhere."
+            raise LinkError(problem, where=self._named_by, fix=fix) from error
 
 
 def _texts(value: Any) -> tuple[str, ...]:
