@@ -34,6 +34,27 @@ def test_the_columns_of_the_earlier_tools_are_known(root):
     assert roles.measures == ("duration_s", "avg_cpu", "energy_J")
 
 
+def test_ids_and_links_of_others_take_no_file_from_elsewhere_without_a_word(tmp_path):
+    """`../home/.ssh` for an id had keys copied; what was a folder, or a link to nowhere, ended in a traceback."""
+    write(tmp_path / "home" / ".ssh" / "id_rsa", "a key")
+    results, other, long = tmp_path / "results", str(tmp_path / "home"), 300 * "x"
+    ids = ("../home/.ssh", other, long, "run_1", "linked")
+    rows = "".join(f"{each},{number % 2},{number}.5\n" for number, each in enumerate(ids))
+    write(results / "run_table.csv", f"run_id,mode,energy\n{rows}")
+    write(results / "run_1" / "power.csv", "time,power\n0,1\n1,2\n")
+    (results / "run_1" / "folder.csv").mkdir()
+    (results / "run_1" / "lost.csv").symlink_to("/no/such/file.csv")
+    (results / "linked").symlink_to(tmp_path / "home")
+    found = understand(results, ImportDescription(run_id="run_id"))
+    folders = {run.source_id: run.folder for run in found.runs if run.folder}
+    assert folders == {"run_1": results / "run_1", "linked": results / "linked"}
+    assert [each.file for each in found.samples] == ["power.csv"]
+    told = "\n".join(found.notes)
+    assert "2 run ids would lead out of the folder, such as '../home/.ssh': no raw files are taken" in told
+    assert "links to raw files lead nowhere (run_1/lost.csv): bring the files" in told
+    assert f"the files are copied to which links lead out of the folder: linked to {other}" in told
+
+
 OWN_TABLE = """\
 run_id,status,excluded,start_run_at,continue_at,Task,Repetition,batch,warm_up,Energy
 w_1,Done,,2026-01-31T12:00:00.250Z,,Idle,0,1,True,99

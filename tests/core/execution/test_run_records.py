@@ -47,6 +47,24 @@ def test_what_a_run_publishes_in_its_evaluation_crosses_the_pipe_in_one_write_an
     os.close(reading)
 
 
+def test_a_record_that_arrives_in_pieces_is_read_once_its_line_has_ended() -> None:
+    """Each piece of a long one was copied with all before it: a text of 300 MB held the orchestrator up for minutes."""
+    reading, writing = os.pipe()
+    reader = RecordReader(reading)
+    long = {"name": "Log", "value": 100_000 * "x"}
+    line = json.dumps(["measure", long]).encode()
+    for piece in (line[:40_000], line[40_000:80_000], line[80_000:]):
+        os.write(writing, piece)
+        assert reader.read() == ([], True)
+    os.write(writing, b'\n["event", {}]\n["mea')
+    assert reader.read() == ([("measure", long), ("event", {})], True)
+    os.write(writing, b'sure", {}]\n')
+    os.close(writing)
+    assert reader.read() == ([("measure", {})], True)
+    assert reader.read() == ([], False)
+    os.close(reading)
+
+
 def test_an_error_without_words_is_told_by_its_type_alone() -> None:
     assert failure_fields(AssertionError())["problem"] == "AssertionError"
     assert failure_fields(AssertionError("no map"))["problem"] == "AssertionError: no map"

@@ -65,6 +65,9 @@ def _without(name: str) -> dict[str, Any]:
         {**CONTENT, "repeat_until": {"least": 3}},
         {**CONTENT, "repeat_until": [3]},
         {**CONTENT, "seed": "seven"},
+        {**CONTENT, "config": {"file": ["study.py"]}},
+        {**CONTENT, "config": {"modules": 3}},
+        {**CONTENT, "config": {"settings": ["robot"]}},
     ],
 )
 def test_a_file_of_another_shape_is_no_registration(tmp_path: Path, content: dict[str, Any]) -> None:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import os
 import re
 import shlex
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
+from pathlib import Path, PurePath
 from typing import TYPE_CHECKING
 
 from robot_runner.analysis.importing.column_evidence import STATUSES, repetition_number
@@ -76,7 +77,8 @@ def read_runs(
     for place, (row, source_id) in enumerate(zip(table.rows, source_ids, strict=True)):
         cells = dict(zip(table.headings, row, strict=True))
         measures = {name: _value(cells[name], table, words[name]) for name in roles.measures}
-        folders = [root / each.replace("{run_id}", source_id) for each in patterns if times[source_id] == 1]
+        is_one = times[source_id] == 1 and not _leads_out(source_id)
+        folders = [root / each.replace("{run_id}", source_id) for each in patterns if is_one]
         runs.append(
             ForeignRun(
                 run_id=run_ids[place],
@@ -86,11 +88,17 @@ def read_runs(
                 repetition=repetitions[place],
                 measures=measures,
                 extras={name: cells[name] for name in roles.extras},
-                folder=next((folder for folder in folders if folder.is_dir()), None),
+                folder=next((folder for folder in folders if os.path.isdir(folder)), None),  # noqa: PTH112 - any word
             )
         )
-    notes += [*_run_notes(table, roles, runs), *_folder_notes(runs), *_file_notes(root, runs)]
+    notes += [*_run_notes(table, roles, runs), *_folder_notes(runs), *_link_notes(root, runs), *_file_notes(root, runs)]
     return _renumbered(runs, notes)
+
+
+def _leads_out(source_id: str) -> bool:
+    """Return whether an id, in the path of its run's files, would lead to files beside the results."""
+    path = PurePath(source_id)
+    return path.is_absolute() or ".." in path.parts
 
 
 def _renumbered(runs: list[ForeignRun], notes: list[str]) -> list[ForeignRun]:
@@ -316,12 +324,30 @@ def _folder_notes(runs: Sequence[ForeignRun]) -> Iterator[str]:
         yield f"{of_runs} that the table does not have: {listed(left, shown=_FOLDERS_SHOWN)}"
 
 
+def _link_notes(root: Path, runs: Sequence[ForeignRun]) -> Iterator[str]:
+    """Yield notes on ids and links that lead out of the results, and on links to files that are not there."""
+    out = [run.source_id for run in runs if _leads_out(run.source_id)]
+    if out:
+        yield f"{counted(len(out), 'run id')} would lead out of the folder, such as {out[0]!r}: no raw files are taken"
+    folders = {run.folder: sorted(run.folder.iterdir()) for run in runs if run.folder}
+    links = [each for folder, files in folders.items() for each in (folder, *files) if each.is_symlink()]
+    if lost := [os.path.relpath(each, root) for each in links if not each.exists()]:
+        yield f"links to raw files lead nowhere ({listed(lost)}): bring the files, as by datalad get"
+    results = root.resolve()
+    copied = {each: each.resolve() for each in links if each.is_file() or each in folders}
+    out = [f"{os.path.relpath(each, root)} to {end}" for each, end in copied.items() if not end.is_relative_to(results)]
+    if out:
+        yield f"the files are copied to which links lead out of the folder: {listed(out, shown=1)}"
+
+
 def _file_notes(root: Path, runs: Sequence[ForeignRun]) -> Iterator[str]:
     """Yield a note for each column that names missing files."""
     for name in runs[0].extras if runs else ():
         named = [(run, run.extras[name]) for run in runs if _FILE.fullmatch(run.extras[name])]
         missing = [
-            text for run, text in named if not any((place / text).exists() for place in (root, run.folder or root))
+            text
+            for run, text in named
+            if not any(os.path.exists(place / text) for place in (root, run.folder or root))  # noqa: PTH110 - any word
         ]
         if missing:
             files = counted(len(named), "file")

@@ -147,7 +147,7 @@ def _by_file(folders: Mapping[str, Path], notes: list[str]) -> dict[str, dict[st
     """
     by_name: dict[str, dict[str, Path]] = {}
     for run_id, folder in folders.items():
-        for path in sorted(folder.glob("*.csv")):
+        for path in sorted(each for each in folder.glob("*.csv") if each.is_file()):
             by_name.setdefault(path.name, {})[run_id] = path
     alike: dict[str, list[tuple[str, Path]]] = {}
     for name, paths in by_name.items():

@@ -113,12 +113,12 @@ class RecordReader:
 
     def __init__(self, descriptor: int) -> None:
         self._descriptor = descriptor
-        self._pending = b""
+        self._pending = bytearray()  # to which pieces of a long record are added without copying it each time
         os.set_blocking(descriptor, False)
 
     def read(self) -> tuple[list[tuple[str, dict[str, Any]]], bool]:
         """Return the records that have arrived, and whether the pipe is still open; never waits."""
-        is_open = True
+        is_open, has_line = True, False
         while True:
             try:
                 data = os.read(self._descriptor, 65536)
@@ -128,13 +128,16 @@ class RecordReader:
                 is_open = False
                 break
             self._pending += data
+            has_line = has_line or b"\n" in data
             if len(data) < 65536:  # noqa: PLR2004 - the size asked for: there is no more for now
                 break
+        if not has_line:
+            return [], is_open
         *lines, self._pending = self._pending.split(b"\n")
         return [record for line in lines if (record := _decoded(line))], is_open
 
 
-def _decoded(line: bytes) -> tuple[str, dict[str, Any]] | None:
+def _decoded(line: bytearray) -> tuple[str, dict[str, Any]] | None:
     try:
         kind, fields = json.loads(line.decode())
     except (ValueError, TypeError):  # another program wrote into the pipe

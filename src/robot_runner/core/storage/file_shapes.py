@@ -161,13 +161,20 @@ SchemaField = TypedDict(
 # The other files
 
 
+class _RegisteredConfig(TypedDict):
+    file: NotRequired[str | None]
+    sha256: NotRequired[str | None]
+    modules: NotRequired[dict[str, str] | None]
+    settings: NotRequired[dict[str, Any] | None]
+
+
 class RegistrationFile(TypedDict):
     """`registration.json`."""
 
     format: int
     registered_at: str
     experiment: str
-    config: dict[str, Any]
+    config: _RegisteredConfig
     design: dict[str, Any]
     seed: Seed
     measures: list[dict[str, Any]]
