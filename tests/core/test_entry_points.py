@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import sys
 import tomllib
 import zipfile
@@ -158,9 +159,11 @@ def test_what_cannot_be_imported_names_its_package(value, problem):
     assert refused.value.fix == "Install or repair the package some-package."
 
 
-def test_circumstances_that_cannot_be_described_are_logged_and_take_no_experiment_down(clean, tmp_path, caplog):
+@pytest.mark.parametrize("raised", ["RuntimeError", "SystemExit"])
+def test_circumstances_that_cannot_be_described_are_logged_and_take_no_experiment_down(clean, tmp_path, caplog, raised):
     for path in ordinary(tmp_path):
         clean.syspath_prepend(path)
+    (tmp_path / "stranger.py").write_text(SOURCE.replace("RuntimeError", raised))
     described = described_circumstances()
     assert described["weather"] == {"room_temperature": 295.0}
     assert described.keys() == {"ros", "weather"}
@@ -197,9 +200,14 @@ class Stranger:
 stranger = Stranger()
 """
 OTHER = "stranger = object()\n"
+ENDING = RAISING.replace("RuntimeError", "SystemExit")
 
 
-@pytest.mark.parametrize("source", [RAISING, ODD, OTHER], ids=["raises", "returns something else", "is something else"])
+@pytest.mark.parametrize(
+    "source",
+    [RAISING, ODD, OTHER, ENDING],
+    ids=["raises", "returns something else", "is something else", "ends the program"],
+)
 @pytest.mark.parametrize("group", ["dialects", "links", "checks", "companions", "preparations", "left_behind"])
 def test_what_a_stranger_s_package_does_wrong_is_told_to_be_its_fault(clean, tmp_path, group, source):
     (tmp_path / "site").mkdir()
@@ -218,8 +226,35 @@ def test_what_a_stranger_s_package_does_wrong_is_told_to_be_its_fault(clean, tmp
     assert told.is_error is (group != "dialects")  # our own configs need none
 
 
+@pytest.mark.parametrize("faulty", ["raise RuntimeError", "raise SystemExit(0)", "return 5", "return ['a text']"])
+def test_a_stranger_s_package_that_cannot_make_treatments_is_told_to_be_at_fault(clean, tmp_path, faulty):
+    (tmp_path / "site").mkdir()
+    ordinary(tmp_path / "site")
+    source = "def findings(factors, known): return []\n\ndef prepare(factors, known, workshop): " + faulty + "\n"
+    (tmp_path / "site" / "stranger.py").write_text(source)
+    announced = "[robot_runner.preparations]\nodd = stranger\n"
+    (tmp_path / "site" / "some_stranger-2.1.dist-info" / "entry_points.txt").write_text(announced)
+    clean.syspath_prepend(tmp_path / "site")
+    (told,) = told_by_execution(prepare(written_config(tmp_path, "")).experiment)
+    assert told.where == "preparation odd (stranger, of Some.Stranger 2.1)"
+    assert told.is_error
+
+
+def test_a_broken_plugin_of_the_name_of_a_used_class_keeps_no_experiment_from_being_executed(clean, tmp_path):
+    (tmp_path / "site").mkdir()
+    ordinary(tmp_path / "site")
+    announced = "[robot_runner.profilers]\nRig = nowhere_at_all:Rig\n"
+    (tmp_path / "site" / "some_stranger-2.1.dist-info" / "entry_points.txt").write_text(announced)
+    clean.syspath_prepend(tmp_path / "site")
+    config = written_config(tmp_path, "plugins = [Rig()]")
+    config.write_text("from robot_runner.plugins import Profiler\n\nclass Rig(Profiler): pass\n\n" + config.read_text())
+    assert not any(finding.is_error for finding in told_by_execution(prepare(config).experiment))
+    (used,) = json.loads(next(tmp_path.rglob("manifest.json")).read_text())["plugins"]
+    assert (used["name"], used["package"]) == ("Rig", None)
+
+
 def told_by_execution(experiment):
     try:
         return execute_experiment(experiment, SilentObserver()).findings
-    except ExecutionError as refused:
+    except (ExecutionError, PluginError) as refused:
         return refused.findings

@@ -55,6 +55,26 @@ def test_measures_are_those_of_the_mission(tmp_path):
     assert {each.origin for each in context.broker.measures.values()} == {Origin.ESTIMATED}
 
 
+def test_a_value_under_a_name_that_no_measure_has_is_told_where_a_measure_lacks_one(tmp_path):
+    context = executed(tmp_path, (), (None, 4.0))
+    publish_measures(context, MEASURES, lambda window: {**evaluate(window), "Own": 1.0})  # more than is asked for
+    assert context.broker.findings == ()
+    publish_measures(context, MEASURES, lambda _: {"Enrgy": 8.0, "MeanPower": 2.0})
+    (finding,) = context.broker.findings
+    assert (
+        finding.problem
+        == "a value of 'Enrgy' was computed, which is no measure, and none of 'Energy', 'Peak', 'Least' and 'Label'"
+    )
+    assert finding.fix == "Return the values by the names of the measures."
+    assert context.broker.records[-1][1]["measures"] == ["Energy", "Peak", "Least", "Label"]
+
+
+def test_values_without_names_are_refused(tmp_path):
+    context = executed(tmp_path, (), (None, 4.0))
+    with pytest.raises(MeasureError, match=r"is 8.0, of type float.*Return a mapping from measure to value"):
+        publish_measures(context, MEASURES, lambda _: 8.0)
+
+
 def test_a_phase_that_comes_twice_has_the_sum_the_weighted_mean_and_the_extremes(tmp_path):
     context = executed(tmp_path, ("drive",), ("drive", 1.0), ("rest", 2.0), ("drive", 3.0))
     publish_measures(context, MEASURES, evaluate)

@@ -86,6 +86,19 @@ def test_what_the_program_needs_is_told_from_what_happens_to_be_installed(manife
     assert "mdurl" in closure(["rich"])
 
 
+@pytest.mark.parametrize("reached", [{"robot": "wire:speed=9"}, {"robots": {"a": "wire:9", "b": "simulated"}}])
+@pytest.mark.parametrize("facts", [{}, {"paints": {"red": "#f00"}}])
+def test_a_package_that_brings_the_robot_s_link_or_makes_treatments_is_needed(tmp_path, monkeypatch, reached, facts):
+    about = tmp_path / "site" / "lab_wire-1.0.dist-info"
+    about.mkdir(parents=True)
+    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: lab-wire\nVersion: 1.0\n", encoding="utf-8")
+    group = "preparations]\npaints" if facts else "links]\nwire"
+    (about / "entry_points.txt").write_text(f"[robot_runner.{group} = lab_wire:WIRE\n", encoding="utf-8")
+    monkeypatch.syspath_prepend(tmp_path / "site")
+    assert "lab-wire" in environment._roots(reached | facts, tmp_path)
+    assert "lab-wire" not in environment._roots({"robot": "simulated"}, tmp_path)
+
+
 @pytest.mark.parametrize("rig", ["from .rig import Rig", "from lab_arm.rig import Rig", "from lab_arm import Rig"])
 def test_what_a_plugin_imports_by_relative_imports_of_its_modules_is_found(tmp_path, monkeypatch, rig):
     package = tmp_path / "lab_arm"

@@ -95,13 +95,15 @@ class EntryPoint:
 
         Raises:
             PluginError: it raised, and neither an error of ours nor in a package of ours.
+            SystemExit: it ended the program, which only a command may do.
         """
         try:
             return act()
-        except Exception as error:
+        except (Exception, SystemExit) as error:
             from robot_runner.core.errors import RobotRunnerError  # noqa: PLC0415 - for a quick --help
 
-            if self.is_own or isinstance(error, RobotRunnerError | BrokenPipeError | MemoryError):
+            may_end = isinstance(error, SystemExit) and self.kind == "commands"
+            if self.is_own or may_end or isinstance(error, RobotRunnerError | BrokenPipeError | MemoryError):
                 raise
             raise self.refusal(f"raised {type(error).__name__}: {error}") from error
 

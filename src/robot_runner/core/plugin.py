@@ -16,6 +16,7 @@ from robot_runner.core.events.measure import Measure, Origin
 from robot_runner.core.links.graph_names import GraphNeed
 from robot_runner.core.storage.input_files import InputFile
 from robot_runner.core.treatments import Bindable
+from robot_runner.core.words import enumerated
 
 _log = logging.getLogger(__name__)
 
@@ -168,7 +169,7 @@ def refused_name(plugin: Plugin) -> PluginError | None:
         return PluginError("the plugin has no name", where=where, fix=fix)
     if isinstance(name, str) and _NAME.fullmatch(name) and name not in _RESERVED_NAMES:
         return None
-    fix = "Use letters, digits, '_' and '-' (64 at most); 'config' and 'log' are taken."
+    fix = f"Use letters, digits, '_' and '-' (64 at most); {enumerated(map(repr, sorted(_RESERVED_NAMES)))} are taken."
     return PluginError(f"a plugin cannot be named {name!r}", where=where, fix=fix)
 
 
@@ -297,6 +298,7 @@ def described_circumstances() -> dict[str, Any]:
     for point in entry_points("circumstances"):
         try:
             described.setdefault(point.name, point.load()())
-        except Exception as error:  # noqa: BLE001 - a stranger's code
-            _log.warning("%s: the circumstances cannot be described: %s", point.where, error)
+        except (Exception, SystemExit) as error:  # noqa: BLE001 - a stranger's code
+            raised = type(error).__name__
+            _log.warning("%s: the circumstances cannot be described: %s: %s", point.where, raised, error)
     return described

@@ -8,9 +8,11 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import cache
 from typing import NamedTuple
 
+from robot_runner.core.errors import MeasureError
 from robot_runner.core.events.context import PROBE, Clock, RobotRunnerContext
 from robot_runner.core.events.measure import Measure, MeasureValue, Origin, Over
 from robot_runner.core.events.window import Window
+from robot_runner.core.words import enumerated
 
 #: Returns the value of each measure over a window; one that it leaves out is missing.
 Evaluate = Callable[[Window], Mapping[str, MeasureValue]]
@@ -43,13 +45,17 @@ def publish_measures(
             an end of the mission or of a phase that they may be off. Empty for what is known of each moment.
 
     Raises:
-        MeasureError: a value is refused.
+        MeasureError: a value is refused, or `evaluate` does not return a mapping.
     """
     window = context.times.window(clock)
     is_over = window is not None and window.duration > 0
     values = evaluate(window) if window is not None and is_over else {}
+    if not isinstance(values, Mapping):
+        problem = f"what was computed is {values!r}, of type {type(values).__name__}"
+        raise MeasureError(problem, where=context.owner, fix="Return a mapping from measure to value.")
     for measure in measures:
         context.publish(measure.name, values.get(measure.name), origin=origin)
+    _doubt_slips(context, values, [measure.name for measure in measures])
     divided = [each for each in measures if each.over]
     ends = WindowEnds(times, evaluate, divided)
     if window is not None and is_over and context.run_id != PROBE:
@@ -103,6 +109,15 @@ def _publish_phase(
     for measure in measures:
         value = _joined([one.get(measure.name) for one in values], windows, measure.over) if windows else None
         context.publish(f"{measure.name}.{phase}", value, origin=origin)
+
+
+def _doubt_slips(context: RobotRunnerContext, values: Mapping[str, MeasureValue], names: Sequence[str]) -> None:
+    """Tell of values under other names, where a measure has none: a slip would leave it missing without a word."""
+    others, lacking = [name for name in values if name not in names], [name for name in names if name not in values]
+    if others and lacking:
+        told, none = enumerated(map(repr, others)), enumerated(map(repr, lacking))
+        problem = f"a value of {told} was computed, which is no measure, and none of {none}"
+        context.doubt(problem, fix="Return the values by the names of the measures.", measures=lacking)
 
 
 def _doubt(context: RobotRunnerContext, doubts: Iterable[tuple[str, Sequence[str]]], suffix: str = "") -> None:

@@ -22,7 +22,7 @@ from typing import Any
 from robot_runner.core.config.dialects import stand_in_modules
 from robot_runner.core.config.local_modules import editable_folders
 from robot_runner.core.config.source import tree_or_empty
-from robot_runner.core.entry_points import entry_points
+from robot_runner.core.entry_points import EntryPoint, entry_points, named_entry_point
 from robot_runner.core.errors import Finding
 from robot_runner.core.storage.guarded_files import read_bytes
 from robot_runner.core.storage.input_files import copies_in
@@ -182,7 +182,9 @@ def record_environment(manifest: Mapping[str, Any], config: Path) -> RecordedEnv
 
 def _roots(manifest: Mapping[str, Any], config: Path) -> set[str]:
     plugins = {str(each["package"]) for each in manifest.get("plugins", ()) if each.get("package")}
-    return {_OUR_NAME, *plugins, *(owner for name in imported_names(config) for owner in owners_of(name))}
+    makers = (each for each in entry_points("preparations") if manifest.get(each.name))
+    brought = {each.package for each in (*_links(manifest), *makers)}
+    return {_OUR_NAME, *plugins, *brought, *(owner for name in imported_names(config) for owner in owners_of(name))}
 
 
 def _record(pinned: str, installed: InstalledDistribution | None, is_needed: bool) -> PackageRecord:
@@ -227,7 +229,6 @@ def _findings(
     yield Finding.warning("environment", problem, fix)
 
 
-_LINKS = "links"
 #: Packages that every experiment imports, whatever its robot and plugins are.
 _FRAME = ("robot_runner.core", "robot_runner.cli", "robot_runner.plugins", "robot_runner.testing")
 #: The distributions of each top-level module.
@@ -253,14 +254,19 @@ def importers(manifest: Mapping[str, Any], config: Path | None = None) -> dict[s
 
 
 def _parts(manifest: Mapping[str, Any], config: Path | None) -> Iterator[tuple[str, set[str]]]:
-    robot = str(manifest.get("robot") or "").partition(":")[0]
-    for link in entry_points(_LINKS):
-        if link.name == robot:
-            yield f"robot {robot}", _reached(link.module)
+    yield from ((f"robot {link.name}", _reached(link.module)) for link in _links(manifest))
     for plugin in manifest.get("plugins") or ():
         yield str(plugin.get("name")), _reached(str(plugin.get("class", "")).partition(":")[0])
     if config is not None:
         yield "config", imported_names(config)
+
+
+def _links(manifest: Mapping[str, Any]) -> Iterator[EntryPoint]:
+    """Yield the kinds of links by which the robots of an experiment are reached, as far as they are installed."""
+    robots = manifest.get("robots")
+    reached = (manifest.get("robot"), *(robots.values() if isinstance(robots, Mapping) else ()))
+    names = dict.fromkeys(str(each or "").partition(":")[0] for each in reached)
+    yield from filter(None, (named_entry_point("links", name) for name in names))
 
 
 def owners_of(module: str) -> list[str]:

@@ -72,6 +72,18 @@ def test_a_broken_plugin_is_a_finding_and_hides_no_other(
     assert problem in meter["findings"][0]["problem"]
 
 
+def test_a_plugin_whose_name_another_one_has_is_told_to_be_found_by_its_class_alone(
+    robot_runner: Callable, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    theirs = _installed("PsUtil", "robot_runner.plugins.profilers:Rapl")
+    monkeypatch.setattr(plugins, "installed_plugins", lambda: (*installed_plugins(), theirs))
+    answer = robot_runner("plugins")
+    assert answer.out.count("warning: profiler PsUtil (robot_runner.plugins.profilers:Rapl, of stranger 2.1)") == 1
+    assert "by this name, that of robot-runner is found" in answer.out
+    assert "robot_runner.plugins.profilers:Rapl" in answer.out.partition("fix: ")[2]
+    assert answer.out.count("Energy of all processor packages") == 2  # it is described all the same
+
+
 def test_a_plugin_that_cannot_be_looked_at_is_a_finding_too(
     robot_runner: Callable, monkeypatch: pytest.MonkeyPatch
 ) -> None:

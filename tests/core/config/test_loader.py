@@ -314,13 +314,14 @@ def test_every_override_that_cannot_be_is_a_finding(write_config: Write) -> None
         ("plugins = [BasicTurtlebot3(sped=0.2)]", "Did you mean 'speed'?"),
         ("plugins = [systems.BasicTurtlebot3(sped=0.2)]", "Did you mean 'speed'?"),
         ("plugins = [Robot(sped=0.2)]", "Did you mean 'speed'?"),
+        ("plugins = [Robot(sped=treatment('Speed'))]", "Did you mean 'speed'?"),
         ("made = Factor('Task', treatmnts=[1, 2])", "Did you mean 'treatments'?"),
         ("made = int(bse=3)", "Correct this line."),
     ],
 )
 def test_a_keyword_with_a_slip_names_the_one_that_was_meant(write_config: Write, line: str, fix: str) -> None:
     head = (
-        "from robot_runner import *\nfrom robot_runner.plugins import systems\n"
+        "from robot_runner import *\nfrom robot_runner.plugins import systems, treatment\n"
         "from robot_runner.plugins.systems import BasicTurtlebot3\nRobot = BasicTurtlebot3\n\n\n"
         f"class RobotRunnerConfig(ExperimentConfig):\n    experiment_name = 'slip'\n    {line}\n"
     )

@@ -291,7 +291,7 @@ def test_a_system_that_would_not_stop_its_robot_is_refused(write_config: Write, 
         ),
         (
             "def claims(self, robot): self.asked = robot",
-            "asking plugins for their claims raised TypeError: 'NoneType' ",
+            "claims raised TypeError: 'NoneType' ",
         ),
     ],
 )
@@ -306,6 +306,7 @@ def test_what_a_plugin_says_of_itself_in_a_wrong_type_is_a_finding(
     (finding,) = prepare(write_config(head=head)).findings
     assert finding.is_error
     assert finding.problem.startswith(problem)
+    assert "Meter" in finding.where
 
 
 def test_an_input_file_of_a_wrong_type_is_left_out(write_config: Write) -> None:
@@ -349,7 +350,7 @@ class RobotRunnerConfig(ExperimentConfig):
         ("Meter()", "Meter", "the plugin has no name"),
         ("Meter(gain=treatment('Gain'))", "Meter", "with Gain = 2.0: the plugin has no name"),
         ("Named()", "Named", "a plugin cannot be named '../Meter'"),
-        ("Named(name='config')", "Named", "a plugin cannot be named 'config'"),
+        ("Named(name='operator')", "Named", "a plugin cannot be named 'operator'"),
     ],
 )
 def test_a_plugin_whose_init_leaves_out_that_of_its_base_is_a_finding(
@@ -359,7 +360,8 @@ def test_a_plugin_whose_init_leaves_out_that_of_its_base_is_a_finding(
     findings = prepare(write_config(head=NAMELESS.format(plugin), table=gains)).findings
     (finding,) = [each for each in findings if each.is_error]
     assert (finding.where, finding.problem) == (where, problem)
-    assert "super().__init__(name=name)" in finding.fix or "letters, digits" in finding.fix
+    taken = "letters, digits, '_' and '-' (64 at most); 'config', 'log', 'operator' and 'robots' are taken"
+    assert "super().__init__(name=name)" in finding.fix or taken in finding.fix
 
 
 MISSPELT = """\

@@ -54,6 +54,13 @@ def test_what_lies_below_the_config_is_found_by_its_path_although_it_needs_files
     assert (found.parent / "../../meshes/block.obj").read_text() == "meshes/block.obj"
 
 
+def test_a_plugin_may_name_its_file_by_the_text_that_it_was_given(study: Path) -> None:
+    kept = _keep(study, InputFile(f"{study}/models/rover.xml", [f"{study}/../meshes/block.obj"]))  # type: ignore[arg-type]
+    with kept_copies(kept):
+        assert input_file(f"{kept}/models/rover.xml").read_text() == "study/models/rover.xml"
+    assert input_file("rover.xml") == Path("rover.xml")
+
+
 def test_a_file_that_is_called_like_the_index_is_kept_apart_from_it(study: Path) -> None:
     (study / INDEX).write_text("mine")
     kept = _keep(study, InputFile(study / INDEX))

@@ -27,7 +27,7 @@ from robot_runner.core.plugin import GROUPS, installed_plugins, load_plugin
 
 @dataclass(frozen=True, slots=True)
 class _Described:
-    """A plugin, or the finding why it could not be imported."""
+    """A plugin, and why it cannot be imported, or is not found by its name."""
 
     installed: EntryPoint
     summary: str = ""
@@ -45,7 +45,8 @@ def add_arguments(parser: Parser) -> None:
 def execute(arguments: Namespace) -> int:
     """Print everything that is installed."""
     with quiet_loading():
-        plugins = [_described(installed) for installed in installed_plugins()]
+        found: dict[tuple[str, str], EntryPoint] = {}  # by the name of each, as `find_plugin` does
+        plugins = [_described(each, found.setdefault((each.kind, each.name), each)) for each in installed_plugins()]
     if arguments.json:
         print_json(_as_json(plugins))
     else:
@@ -53,7 +54,7 @@ def execute(arguments: Namespace) -> int:
     return 0
 
 
-def _described(installed: EntryPoint) -> _Described:
+def _described(installed: EntryPoint, found: EntryPoint) -> _Described:
     try:
         plugin = load_plugin(installed)
         return _Described(
@@ -62,6 +63,7 @@ def _described(installed: EntryPoint) -> _Described:
             measures=tuple(plugin.measures),
             needs=plugin.needs,
             parameters=tuple(map(_written, parameters_of(plugin).values())),
+            finding=None if found is installed else _hidden(installed, found),
         )
     except PluginError as error:
         return _Described(installed, finding=error.as_finding())
@@ -72,6 +74,11 @@ def _described(installed: EntryPoint) -> _Described:
             f"Update or remove the package {installed.package}.",
         )
         return _Described(installed, finding=finding)
+
+
+def _hidden(installed: EntryPoint, found: EntryPoint) -> Finding:
+    fix = f"Import it by its module, try it as {installed.value}, or have its author rename the entry point."
+    return Finding.warning(installed.where, f"by this name, that of {found.package} is found", fix)
 
 
 def _written(parameter: inspect.Parameter) -> str:
@@ -105,6 +112,7 @@ def _print_plugin(console: UserConsole, plugin: _Described) -> None:
     )
     if plugin.finding:
         print_findings(console, [plugin.finding])
+    if plugin.finding and plugin.finding.is_error:
         return
     print_folded(console, "    ", plugin.summary, style="")
     facts = [("Measures" if not place else "", _measure(each)) for place, each in enumerate(plugin.measures)]

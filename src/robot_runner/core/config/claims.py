@@ -18,7 +18,7 @@ from typing import Any
 from robot_runner.core.config.parameters import Parameters, RunProcess
 from robot_runner.core.config.plugin_checks import failed_check
 from robot_runner.core.design.run_table_model import RunTableModel
-from robot_runner.core.errors import Finding, LinkError
+from robot_runner.core.errors import Finding, LinkError, PluginError
 from robot_runner.core.events.manager import RUN_EVENTS, EventManager
 from robot_runner.core.events.measure import CONFIG_OWNER
 from robot_runner.core.links.connect import is_simulated, robot_on_graph
@@ -176,8 +176,12 @@ class Claims:
         treatments = values_of(plugin, combination) if factors_of(plugin) else {}
         key = (plugin.name, robot, *(f"{name}={value}" for name, value in treatments.items()))
         if key not in self._known:
-            claimed = built_with(plugin, combination).claims(robot)
-            self._known[key] = (claimed,) if isinstance(claimed, str) else tuple(map(str, claimed))
+            try:
+                claimed = built_with(plugin, combination).claims(robot)
+                self._known[key] = (claimed,) if isinstance(claimed, str) else tuple(map(str, claimed))
+            except (Exception, SystemExit) as error:
+                refused = failed_check(f"plugin {plugin.name}", error, "claims", plugin)
+                raise PluginError(refused.problem, where=refused.where, fix=refused.fix) from error
         return self._known[key]
 
 

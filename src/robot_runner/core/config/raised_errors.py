@@ -174,8 +174,9 @@ def _fix_of_import(path: Path, error: BaseException) -> str:
     return did_you_mean(name, dir(sys.modules[module]), "") if module in sys.modules else ""
 
 
-#: How CPython words it, since 3.10 with the class: `Ina219.__init__() got an unexpected keyword argument 'prt'`.
-_UNEXPECTED = re.compile(r"(?P<called>[\w.<>]+)\(\) got an unexpected keyword argument '(?P<keyword>\w+)'")
+#: How CPython words it, since 3.10 with the class: `Ina219.__init__() got an unexpected keyword argument 'prt'`. Where
+#: a parameter is bound to a factor, it is `Ina219(): got ...`.
+_UNEXPECTED = re.compile(r"(?P<called>[\w.<>]+)\(\):? got an unexpected keyword argument '(?P<keyword>\w+)'")
 
 
 def misspelt_keyword(path: Path, error: BaseException) -> str:

@@ -9,13 +9,14 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Protocol
 
 from robot_runner.core.config.plugin_checks import announced_findings
 from robot_runner.core.design.factor import Factor
-from robot_runner.core.entry_points import entry_points
+from robot_runner.core.entry_points import EntryPoint, entry_points
 from robot_runner.core.errors import ExecutionError, Finding, StorageError
 from robot_runner.core.storage.journal import read_journal
 from robot_runner.core.storage.layout import ExperimentFolder
@@ -82,11 +83,12 @@ def made_treatments(factors: Sequence[Factor], known: Mapping[str, Any], worksho
         RobotRunnerError: a treatment cannot be made.
         KeyboardInterrupt: the user has interrupted it.
     """
-    made = {
-        point.name: point.load().prepare(factors, known.get(point.name, {}), workshop)
-        for point in entry_points("preparations")
-    }
-    return {name: dict(facts) for name, facts in made.items() if facts}
+
+    def made_by(point: EntryPoint) -> dict[str, Any]:
+        return dict(point.load().prepare(factors, known.get(point.name, {}), workshop) or {})
+
+    made = {point.name: point.called(partial(made_by, point)) for point in entry_points("preparations")}
+    return {name: facts for name, facts in made.items() if facts}
 
 
 def known_treatments(folder: ExperimentFolder) -> dict[str, Any]:

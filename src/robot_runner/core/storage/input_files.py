@@ -45,7 +45,7 @@ class InputFile:
     """A file or folder that a plugin or the link to a robot reads.
 
     Attributes:
-        path: as the config names it; a folder stands for all that is in it.
+        path: as the config names it, which may be a text; a folder stands for all that is in it.
         others: files that it needs at their relative paths, as a model needs its meshes; for a folder, the files in it
             that are read.
 
@@ -56,6 +56,10 @@ class InputFile:
 
     path: Path
     others: tuple[Path, ...] = ()
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "path", Path(self.path))
+        object.__setattr__(self, "others", tuple(map(Path, self.others)))
 
 
 class KeptInput(TypedDict):
@@ -94,9 +98,7 @@ def read_index(folder: Path) -> list[KeptInput]:
     if not faults:
         named = (place for each in index["inputs"] for place in (each["kept"], *each.get("programs", ())))
         places = [Path(place) for place in named if place is not None]
-        faults = [
-            f"{str(each)!r} is not a place below it" for each in places if each.is_absolute() or ".." in each.parts
-        ]
+        faults = [f"{str(at)!r} is not a place below it" for at in places if at.is_absolute() or ".." in at.parts]
     if faults:
         raise StorageError(f"the index of input files is damaged: {faults[0]}", where=str(path), fix="Get it again.")
     return index["inputs"]
@@ -104,8 +106,7 @@ def read_index(folder: Path) -> list[KeptInput]:
 
 def shown_input(each: KeptInput) -> str:
     """Return size and checksum of an input in words."""
-    digest = f", SHA-256 {each['sha256']}" if each["sha256"] else ""
-    return f"{each['size']:,} bytes{digest}"
+    return f"{each['size']:,} bytes" + (f", SHA-256 {each['sha256']}" if each["sha256"] else "")
 
 
 @contextmanager
@@ -178,7 +179,7 @@ def _copies_of(each: KeptInput, folder: Path) -> list[Path]:
     return [member for member in members if member.is_relative_to(_absolute(folder))]
 
 
-def input_file(path: Path) -> Path:
+def input_file(path: str | Path) -> Path:
     """Return the path from which to read an input: its copy if a package is executed again, else the path itself.
 
     A `~` at its beginning stands for the home folder.
@@ -187,7 +188,7 @@ def input_file(path: Path) -> Path:
         >>> input_file(Path("lab.toml")).as_posix()
         'lab.toml'
     """
-    return kept_copy(path) or _expanded(path)
+    return kept_copy(Path(path)) or _expanded(Path(path))
 
 
 def kept_copy(path: Path) -> Path | None:
@@ -385,11 +386,9 @@ def missing_inputs(folder: Path) -> Iterator[Finding]:
         StorageError: the index cannot be read.
     """
     for each in read_index(folder):
-        if _copy_of(each, folder) is None:
-            fault = _fault_of(each)
-            if fault:
-                fix = "Ask its authors for it, and put it there; or name another place with --set."
-                yield Finding.warning(each["at"], f"there is no copy of it, and {fault}: {shown_input(each)}", fix)
+        if _copy_of(each, folder) is None and (fault := _fault_of(each)):
+            fix = "Ask its authors for it, and put it there; or name another place with --set."
+            yield Finding.warning(each["at"], f"there is no copy of it, and {fault}: {shown_input(each)}", fix)
 
 
 def _fault_of(each: KeptInput) -> str:
