@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+import robot_runner as robot_runner_package
 from robot_runner.cli.commands import installed_commands
 from robot_runner.cli.main import main
 
@@ -44,6 +45,33 @@ def test_help_names_every_command(robot_runner: Callable, words: list[str]) -> N
     assert answer.code == 0
     assert all(f"  {name} " in answer.out for name in installed_commands())
     assert answer.err == ""
+
+
+@pytest.mark.long
+def test_the_exit_code_is_that_of_the_experiment_also_where_the_program_was_removed_meanwhile(tmp_path: Path) -> None:
+    config, package = tmp_path / "study.py", tmp_path / "site" / "robot_runner"
+    shutil.copytree(*robot_runner_package.__path__, package)
+    config.write_text(
+        f"""import shutil
+from robot_runner import *
+
+class RobotRunnerConfig(ExperimentConfig):
+    experiment_name, results_output_path = "study", {str(tmp_path)!r}
+    def create_run_table(self): return RunTableModel([Factor("Speed", [1, 2])])
+    def launch_mission(self, context): shutil.rmtree({str(package)!r}, ignore_errors=context.combination["Speed"])
+"""
+    )
+    ended = subprocess.run(
+        [sys.executable, "-P", "-m", "robot_runner", str(config)],
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": str(package.parent)},
+        capture_output=True,
+        text=True,
+        timeout=100,
+        check=False,
+    )
+    assert "All 2 runs are done" in ended.stdout
+    assert (ended.returncode, ended.stderr) == (0, "")
 
 
 @pytest.mark.long

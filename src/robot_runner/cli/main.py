@@ -53,6 +53,8 @@ def _execute(words: list[str]) -> int:
     command, rest = _command(words)
     point = installed_commands()[command]
     module = command_module(point)
+    # The last thing that `main` needs, too: this package may be upgraded or gone by the end of an experiment.
+    from robot_runner.cli import timely_exit  # noqa: F401, PLC0415 - for a quick --help
     from robot_runner.cli.parser import parser_of  # noqa: PLC0415 - for a quick --help
 
     try:

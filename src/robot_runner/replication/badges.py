@@ -178,7 +178,7 @@ def _reusable(facts: BadgeFacts) -> Iterator[BadgeLine]:
     fact = "RO-Crate and Frictionless Data Package, CSV and JSON."
     yield _line(_REUSABLE, "Formats of the field", has_formats, fact, f"No {DATA_PACKAGE}: {_PACK_IT}.")
     commit = (last_execution(facts.manifest).get("repository") or {}).get("commit")
-    otherwise = "The config was in no repository when it was executed."
+    otherwise = "No commit of the config was recorded: it was in no repository, or git could not read that."
     yield _line(_REUSABLE, "The version of the source is known", commit, f"Commit {commit}.", otherwise)
     fact = "Say in the paper or a README what can be changed, and what it is good for beyond the paper."
     yield BadgeLine(_REUSABLE, "Structured so that others can build on it", State.AUTHOR, fact)

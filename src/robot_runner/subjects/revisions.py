@@ -12,7 +12,7 @@ from robot_runner.core.config.treatment_makers import Workshop
 from robot_runner.core.design.factor import Factor
 from robot_runner.core.design.revision import Revision
 from robot_runner.core.errors import ExecutionError, Finding, did_you_mean, nearest
-from robot_runner.core.storage.git_repository import git, repository_state, without_login
+from robot_runner.core.storage.git_repository import ADVISED, git, repository_state, without_login
 from robot_runner.subjects.surroundings import cache_findings
 from robot_runner.subjects.work_tree import WorkTree, is_kept, kept_name, refusal
 
@@ -54,7 +54,7 @@ class Repository:
         except (OSError, subprocess.TimeoutExpired) as error:
             raise ExecutionError(f"git does not answer: {error}", where=without_login(place)) from error
         if answer.returncode != 0:
-            advised = re.search(rb"git config \S+ --add safe\.directory .+", answer.stderr)  # for that of another user
+            advised = ADVISED.search(answer.stderr)
             fix = f"Execute: {advised[0].decode()}" if advised else "Name the folder of a repository, or a URL."
             raise ExecutionError(f"git finds no repository: {refusal(answer)}", where=without_login(place), fix=fix)
         if above:

@@ -179,6 +179,8 @@ def test_whether_machine_and_software_changed_between_executions_is_told(two_tas
     found = threats(two_tasks(manifest={"executions": [stamps, {**stamps, "changed": changed}, stamps]}))
     assert "package numpy (1.0, later 2.0)" in found["Machine or software changed on the way"].text
     assert "Executed in parts" not in found
+    found = threats(two_tasks(manifest={"executions": [{**stamps, "changed": changed}]}))
+    assert "1 part, and later runs had" in found["Machine or software changed on the way"].text
     values = {"Meter.gain": {"was": 1.0, "is": 5.0}, "second.gain": {"is": 2.0}}
     found = threats(two_tasks(manifest={"executions": [stamps, {**stamps, "changed_values": values}]}))
     told = "Meter.gain from 1.0 to 5.0, second.gain from 'not given' to 2.0"

@@ -10,7 +10,7 @@ import pytest
 from tests.conftest import HEAD
 
 from robot_runner.core.config.preparation import prepare_or_refuse
-from robot_runner.core.errors import ExecutionError, StorageError
+from robot_runner.core.errors import ExecutionError, Finding, StorageError
 from robot_runner.core.execution import manifest_content
 from robot_runner.core.execution.notices import SilentObserver
 from robot_runner.core.execution.orchestrator import execute_experiment
@@ -33,6 +33,10 @@ def resume(config: Path, **asked: Any) -> list[dict[str, str]]:
     experiment = prepare_or_refuse(config)
     execute_experiment(experiment, SilentObserver(), resumption=Resumption(**asked))
     return read(experiment.folder.run_table)
+
+
+def resumed_findings(config: Path) -> tuple[Finding, ...]:
+    return execute_experiment(prepare_or_refuse(config), SilentObserver()).findings
 
 
 def read(path: Path) -> list[dict[str, str]]:
@@ -190,6 +194,27 @@ def test_a_module_that_callbacks_import_and_that_is_edited_meanwhile_is_told(exe
     executed = execute(body, head=f"from pathlib import Path\n{HEAD}")
     told = [each for each in executed.finished.findings if "changed while" in each.problem]
     assert [each.where for each in told] == [f"{tmp_path / 'drives_of_this_test.py'}:1"]
+
+
+def test_a_package_that_is_replaced_while_runs_are_executed_is_told_and_kept(
+    execute: Execute, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    installed = tmp_path / "site" / "lab_tools-1.0.dist-info"
+    installed.mkdir(parents=True)
+    monkeypatch.syspath_prepend(str(installed.parent))
+    body = f"""
+    run_process = RunProcess.IN_PROCESS
+    installed = Path({str(installed)!r})
+    def launch_mission(self, context):
+        if context.run_number == 2: self.installed.rename(self.installed.with_name("lab_tools-2.0.dist-info"))
+    """
+    executed = execute(body, head=f"from pathlib import Path\n{HEAD}")
+    (told,) = (each for each in executed.finished.findings if "lab_tools" in each.problem)
+    assert told.problem == "replaced while the experiment was executed: package lab_tools (1.0, now 2.0)"
+    manifest = json.loads((executed.folder / "manifest.json").read_text(encoding="utf-8"))
+    assert manifest["executions"][0]["changed"] == {"package lab_tools": {"was": "1.0", "is": "2.0"}}
+    (again,) = (each for each in resumed_findings(executed.config) if "lab_tools" in each.problem)
+    assert "is not what the experiment began with" in again.problem
 
 
 def test_a_changed_config_can_be_accepted_and_both_are_kept(execute: Execute, write_config: Write) -> None:
@@ -495,11 +520,10 @@ def test_what_changed_of_machine_and_software_since_the_first_execution_is_told(
     other = {"distro": "jazzy", "middleware": "rmw_zenoh_cpp", "packages": {"nav2": "1.4"}}
     monkeypatch.setattr(manifest_content, "described_circumstances", lambda: {"ros": other})
     monkeypatch.setattr(manifest_content, "describe_host", lambda: {**manifest["host"], "processor": "another", "x": 1})
-    monkeypatch.setattr(
-        manifest_content,
-        "describe_software",
-        lambda: manifest["software"] | {"packages": packages | {"numpy": "2.0", "gone": None, "come": "1"}},
-    )
+    now = packages | {"numpy": "2.0", "gone": None, "come": "1"}
+    monkeypatch.setattr(manifest_content, "describe_software", lambda: manifest["software"] | {"packages": now})
+    monkeypatch.setattr(manifest_content, "installed_packages", lambda: now)
+    monkeypatch.setattr(manifest_content, "installed_system_packages", lambda: {"libc6": "1"})
     experiment = prepare_or_refuse(executed.config)
     finished = execute_experiment(experiment, SilentObserver())
     (finding,) = (each for each in finished.findings if "machine" in each.problem)

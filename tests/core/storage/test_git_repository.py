@@ -1,11 +1,12 @@
 from __future__ import annotations
 
+import os
 import subprocess
 from typing import TYPE_CHECKING
 
 import pytest
 
-from robot_runner.core.storage.git_repository import git, uncommitted_changes
+from robot_runner.core.storage.git_repository import git, refused_repository, uncommitted_changes
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -22,6 +23,36 @@ def repository(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     for words in (("init", "--quiet"), ("add", "."), (*who, "commit", "--quiet", "--message=first")):
         assert git(*words, folder=folder).returncode == 0
     return folder
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root can give files to another user")
+def test_a_repository_of_another_user_is_told_with_what_git_advises(repository: Path) -> None:
+    assert refused_repository(repository / "sub") is None
+    for path in (repository, repository / ".git"):
+        os.chown(path, 65534, 65534)
+    told = refused_repository(repository / "sub")
+    assert told is not None
+    assert told.where == str(repository)
+    assert told.problem.startswith("the commit of the config cannot be recorded: fatal: detected dubious ownership")
+    assert told.fix == f"Execute: git config --global --add safe.directory {repository}"
+
+
+def test_a_repository_that_git_cannot_read_is_told(
+    repository: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / ".git").write_text("gitdir: /not/mounted/.git/worktrees/study\n")  # a work tree in a container
+    told = refused_repository(tmp_path)
+    assert told is not None
+    assert "not a git repository" in told.problem
+    monkeypatch.setenv("PATH", "/nowhere")
+    told = refused_repository(repository)
+    assert told is not None
+    assert (told.problem, told.fix) == (
+        "the commit of the config cannot be recorded: git is not installed",
+        "Install git.",
+    )
+    (tmp_path / ".git").unlink()
+    assert refused_repository(tmp_path) is None
 
 
 @pytest.mark.parametrize(

@@ -296,17 +296,16 @@ def _are(count: int) -> str:
 
 def _circumstances(material: Material) -> Threats:
     executions = material.manifest("executions", default=[])
-    if len(executions) > 1:
-        told = [each.get("changed") for each in executions[1:]]
-        pairs = (pair for each in told for pair in (each or {}).items())
-        others = {f"{name} ({fact['was']}, later {fact['is'] or 'absent'})" for name, fact in pairs}
-        parts = f"The experiment was executed in {len(executions)} parts"
-        if others:
-            text = f"{parts}, and later ones had another machine or software: {listed(sorted(others), shown=8)}."
-            yield "Machine or software changed on the way", text, Tone.WARNING
-        else:
-            what = "circumstances may have changed between them" if None in told else "on one machine and software"
-            yield "Executed in parts", f"{parts}{';' if None in told else ','} {what}.", Tone.NOTE
+    told = [each.get("changed") for each in executions]
+    pairs = (pair for each in told for pair in (each or {}).items())
+    others = {f"{name} ({fact['was']}, later {fact['is'] or 'absent'})" for name, fact in pairs}
+    parts = f"The experiment was executed in {counted(len(executions), 'part')}"
+    if others:
+        text = f"{parts}, and later runs had another machine or software: {listed(sorted(others), shown=8)}."
+        yield "Machine or software changed on the way", text, Tone.WARNING
+    elif len(executions) > 1:
+        what = "circumstances may have changed between them" if None in told[1:] else "on one machine and software"
+        yield "Executed in parts", f"{parts}{';' if None in told[1:] else ','} {what}.", Tone.NOTE
     if ExperimentFolder(material.results.folder).earlier_configs.is_dir():
         text = "Configs that were executed before are in earlier_configs/: see what changed, and for which runs."
         yield "The config changed on the way", text, Tone.WARNING

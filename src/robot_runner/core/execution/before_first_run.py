@@ -27,6 +27,7 @@ from robot_runner.core.execution.manifest_content import (
 from robot_runner.core.execution.recovered_table import RecoveredTable
 from robot_runner.core.execution.resumption import ACCEPT, Resumption, config_changes, selected_places
 from robot_runner.core.execution.table_recovery import is_blank, recover_table
+from robot_runner.core.storage.git_repository import refused_repository
 from robot_runner.core.storage.guarded_files import make_experiment_folder, make_folder
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.lock import holder_of
@@ -78,7 +79,10 @@ def begun_manifest(experiment: Experiment, *, accept_changes: bool) -> tuple[dic
             experiment does not have.
     """
     manifest, findings = _found(experiment, accept_changes=accept_changes)
-    return manifest, (*findings, *refuse_unplanned(experiment, manifest))
+    findings = (*findings, *refuse_unplanned(experiment, manifest))
+    is_recorded = "repository" in manifest["executions"][-1]
+    refused = None if is_recorded else refused_repository(experiment.config_path.parent)
+    return manifest, findings if refused is None else (*findings, refused)
 
 
 def _found(experiment: Experiment, *, accept_changes: bool) -> tuple[dict[str, Any], tuple[Finding, ...]]:

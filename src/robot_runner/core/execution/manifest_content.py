@@ -6,6 +6,7 @@ import hashlib
 import os
 import shutil
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,8 @@ from robot_runner.core.config.experiment import Experiment
 from robot_runner.core.config.local_modules import editable_code
 from robot_runner.core.design.batches import as_configured, described_design
 from robot_runner.core.design.precision import rules_as_mapping
-from robot_runner.core.errors import ExecutionError, Finding, StorageError
+from robot_runner.core.entry_points import EntryPoint
+from robot_runner.core.errors import ExecutionError, Finding, PluginError, StorageError
 from robot_runner.core.execution.given_values import changed_values, given_values, is_from_file, is_reordered
 from robot_runner.core.execution.resumption import config_files
 from robot_runner.core.plugin import Plugin, described_circumstances, installed_plugins
@@ -23,7 +25,14 @@ from robot_runner.core.storage.guarded_files import MissingFileError, make_folde
 from robot_runner.core.storage.input_files import kept_contents, let_programs_execute
 from robot_runner.core.storage.journal import read_journal, utc_now
 from robot_runner.core.storage.layout import members_in, next_in
-from robot_runner.core.storage.manifest import describe_host, describe_software, is_damaged, read_manifest
+from robot_runner.core.storage.manifest import (
+    describe_host,
+    describe_software,
+    installed_packages,
+    installed_system_packages,
+    is_damaged,
+    read_manifest,
+)
 from robot_runner.core.storage.system_refusals import storage_errors
 from robot_runner.core.treatments import factors_of
 from robot_runner.core.words import listed
@@ -130,12 +139,40 @@ def changed_circumstances(manifest: Mapping[str, Any]) -> dict[str, dict[str, An
     pairs = [
         *((name, first[name], host[name]) for name in _OF_HOST if name in first),
         *((name, then[name], software[name]) for name in ("python", "robot_runner") if name in then),
-        *_pairs("package", then.get("packages"), software["packages"]),
-        *_pairs("system package", then.get("system_packages"), software["system_packages"]),
+        *_package_pairs(then, software["packages"], software["system_packages"]),
         *_pairs("code of package", _common(then.get("editable_code"), code), code),
         *_described_pairs(manifest),
     ]
     return {name: {"was": was, "is": now} for name, was, now in pairs if was != now}
+
+
+def replaced_packages(path: Path, manifest: dict[str, Any]) -> Iterator[Finding]:
+    """Yield a warning where packages were replaced since the present execution began, and add them to its changes.
+
+    Runs may have had either version: a process that has begun keeps the modules that it imported, and no others.
+
+    Args:
+        path: of the manifest, for the warning.
+        manifest: changed in place.
+    """
+    now = manifest["executions"][-1]
+    changed = now.get("changed") or {}
+    before = {name: each["is"] for name, each in changed.items()}
+    pairs = _package_pairs(manifest.get("software") or {}, installed_packages(), installed_system_packages())
+    replaced = {name: (was, new) for name, was, new in pairs if before.get(name, was) != new}
+    if replaced:
+        told = (f"{name} ({before.get(name, was)}, now {new or 'absent'})" for name, (was, new) in replaced.items())
+        problem = f"replaced while the experiment was executed: {listed(told, _NAMED)}"
+        fix = "Find out from when on, and execute these runs again (--redo). Keep updates off until all runs are done."
+        yield Finding.warning(str(path), problem, fix)
+        now["changed"] = changed | {name: {"was": was, "is": new} for name, (was, new) in replaced.items()}
+
+
+def _package_pairs(
+    then: Mapping[str, Any], packages: Mapping[str, str], system_packages: Mapping[str, str]
+) -> Iterator[tuple[str, Any, Any]]:
+    yield from _pairs("package", then.get("packages"), packages)
+    yield from _pairs("system package", then.get("system_packages"), system_packages)
 
 
 def _pairs(what: str, before: Mapping[str, Any] | None, now: Mapping[str, Any]) -> Iterator[tuple[str, Any, Any]]:
@@ -312,11 +349,17 @@ def _keep_uncommitted(experiment: Experiment, manifest: dict[str, Any]) -> None:
         repository["diff"] = kept.relative_to(experiment.folder.root).as_posix()
 
 
+def _is_of(point: EntryPoint, kind: type[Plugin]) -> bool:
+    with suppress(PluginError):  # a broken one of this name is not the one in use
+        return point.load() is kind
+    return False
+
+
 def _described(plugin: Plugin) -> dict[str, Any]:
     kind = type(plugin)
     # The entry point of another package may differ in name from its class: then only the class is known.
     named = [each for each in installed_plugins() if each.name == kind.__name__]
-    announced = next((each for each in named if each.load() is kind), None)
+    announced = next((each for each in named if _is_of(each, kind)), None)
     return {
         "name": plugin.name,
         "class": f"{kind.__module__}:{kind.__qualname__}",

@@ -184,6 +184,7 @@ class _Orchestrator:
         # After an interruption the next execution looks, before it goes on; workers of a cluster have copies.
         if not (self._interruption.is_requested or self._parameters.cluster is not None):
             self._progress.find(*edited_meanwhile(self._experiment))
+            self._progress.look_at_packages()
         finished = self._finish_notice(findings)
         self._progress.finish(interrupted=finished.interrupted)
         self._notifications.take(finished)

@@ -20,7 +20,7 @@ from robot_runner.core.execution.before_first_run import begun_manifest, made_fo
 from robot_runner.core.execution.deciding import Deciding, Growth
 from robot_runner.core.execution.durations import Durations, TimeLeft, durations_of
 from robot_runner.core.execution.left_systems import see_to_what_is_left, told_if_refused
-from robot_runner.core.execution.manifest_content import keep_config
+from robot_runner.core.execution.manifest_content import keep_config, replaced_packages
 from robot_runner.core.execution.notices import NextDecided
 from robot_runner.core.execution.probe import Probe
 from robot_runner.core.execution.recovered_table import RecoveredTable, TableOnDisk
@@ -90,19 +90,16 @@ class ProgressManager:
             forget_requests(self._folder.pause, self._folder.stop)  # left by a session that was killed
             remove_half_written(self._folder)
             seen_to.extend(see_to_what_is_left(self._experiment))
-            self._findings += seen_to
-            accept_changes = self._resumption.accept_changes
-            self._manifest, odd = begun_manifest(self._experiment, accept_changes=accept_changes)
-            self._findings += odd
+            accept = self._resumption.accept_changes
+            self._manifest, odd = begun_manifest(self._experiment, accept_changes=accept)
+            self._findings += [*seen_to, *odd]
             if self._resumption.selection:
                 self._manifest["executions"][-1]["selection"] = self._resumption.selection
             started = time.monotonic()
             recovered = recover_table(self._experiment, self._manifest, self._resumption)
             reading = time.monotonic() - started  # writing the table takes less
             self._selected = selected_places(recovered.rows, self._resumption, self._experiment.model.warm_up)
-            refuse_unfit_treatments(
-                self._experiment, self._manifest, recovered, self._selected, accept_changes=accept_changes
-            )
+            refuse_unfit_treatments(self._experiment, self._manifest, recovered, self._selected, accept_changes=accept)
             self._take(recovered)
             self._deciding = Deciding(self._experiment, self._manifest)
             prepared = self._prepare(known_treatments(self._folder))
@@ -359,6 +356,10 @@ class ProgressManager:
         """Keep findings for the end of the experiment."""
         self._findings += findings
 
+    def look_at_packages(self) -> None:
+        """Warn of packages that were replaced since this execution began; the manifest is to name them."""
+        self._findings += replaced_packages(self._folder.manifest, self._manifest)
+
     def bring_table_up_to_date(self) -> None:
         """Write the run table as it stands: a callback of `after_experiment` may read it."""
         self._file.bring_up_to_date()
@@ -389,9 +390,8 @@ class ProgressManager:
         return self._probe(self.task_of(first)) if self._probe is not None and first is not None else None
 
     def _expected_durations(self) -> Durations:
-        each = self._experiment
+        each, journal = self._experiment, self._folder.journal
         combinations = [run.combination for run in self._rows.planned]
-        journal = self._folder.journal
         durations = durations_of(each.config, each.plugins, each.events, each.parameters, combinations, journal)
         durations.plan(map(combinations.__getitem__, self._selected), follows=self._deciding.follows(self._rows))
         return durations

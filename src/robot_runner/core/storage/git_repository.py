@@ -10,6 +10,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from robot_runner.core.errors import Finding
+
 #: How long git may take to answer, s: on a cold disk and a large repository it has to look at every file.
 _PATIENCE = 30.0
 #: Of a longer diff only the hash is kept, bytes.
@@ -25,6 +27,8 @@ _ENVIRONMENT = {
 }
 #: Variables that git sets for its hooks; with them, git would look at another repository.
 _FOREIGN = ("GIT_DIR", "GIT_WORK_TREE", "GIT_INDEX_FILE", "GIT_OBJECT_DIRECTORY", "GIT_PREFIX")
+#: What git advises where a repository belongs to another user.
+ADVISED = re.compile(rb"git config \S+ --add safe\.directory .+")
 _LOGIN = re.compile(r"(?<=://)[^/@]*@")
 
 
@@ -90,6 +94,32 @@ def repository_state(folder: Path | str) -> RepositoryState | None:
     branch = _answer(folder, "symbolic-ref", "--quiet", "--short", "HEAD") or ""
     origin = _answer(folder, "config", "--get", "remote.origin.url") or ""
     return RepositoryState(commit, branch, without_login(origin), bool(changed))
+
+
+def refused_repository(folder: Path) -> Finding | None:
+    """Return a warning where git does not read the repository that a folder is in, else None.
+
+    In a container, the repository is often that of another user, or the part of a work tree that was not mounted.
+    """
+    above = folder.absolute()
+    folders = (above, *above.parents)
+    root = next((each for each in folders if os.path.exists(each / ".git")), None)  # noqa: PTH110 - never raises
+    if root is None:  # as most often: git need not be asked
+        return None
+    problem, fix = "git is not installed", "Install git."
+    try:
+        answer = git("rev-parse", "--git-dir", folder=folder)
+    except FileNotFoundError:
+        pass
+    except (OSError, subprocess.TimeoutExpired) as error:
+        problem, fix = f"git does not answer: {error}", ""
+    else:
+        if answer.returncode == 0:
+            return None
+        problem, _, _ = answer.stderr.decode(errors="replace").strip().partition("\n")
+        advised = ADVISED.search(answer.stderr)
+        fix = f"Execute: {advised[0].decode(errors='replace')}" if advised else "Make all of the repository readable."
+    return Finding.warning(str(root), f"the commit of the config cannot be recorded: {problem}", fix)
 
 
 def without_login(url: str) -> str:

@@ -56,7 +56,7 @@ def describe_software() -> dict[str, Any]:
         "python": platform.python_version(),
         "implementation": sys.implementation.name,
         "robot_runner": version("robot-runner"),
-        "packages": _packages(),
+        "packages": installed_packages(),
         "system": describe_system(),
         "system_packages": installed_system_packages(),
     }
@@ -106,7 +106,8 @@ def last_execution(manifest: Mapping[str, Any]) -> Mapping[str, Any]:
     return found
 
 
-def _packages() -> dict[str, str]:
+def installed_packages() -> dict[str, str]:
+    """Return the versions of the packages of Python, by name."""
     # From the names of the folders; reading each package's metadata would take a hundred times longer.
     found: dict[str, str] = {}
     for folder in reversed([Path(entry or ".") for entry in sys.path]):
