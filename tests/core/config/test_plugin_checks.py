@@ -10,6 +10,7 @@ import pytest
 
 from robot_runner.cli.planning import plan_of
 from robot_runner.core.config.preparation import prepare, prepare_or_refuse
+from robot_runner.core.storage.input_files import InputFile
 from robot_runner.plugins.profilers import PsUtil
 
 if TYPE_CHECKING:
@@ -309,15 +310,18 @@ def test_what_a_plugin_says_of_itself_in_a_wrong_type_is_a_finding(
     assert "Meter" in finding.where
 
 
-def test_an_input_file_of_a_wrong_type_is_left_out(write_config: Write) -> None:
+@pytest.mark.parametrize(("named", "inputs"), [("'map.yaml'", ("map.yaml",)), ("5", ())], ids=["a path", "a number"])
+def test_a_path_stands_for_the_input_file_and_what_is_none_is_left_out(
+    write_config: Write, named: str, inputs: tuple[str, ...]
+) -> None:
     head = (
         "from robot_runner import *\nfrom robot_runner.plugins import InputFile, Profiler\n\n\nclass Meter(Profiler):\n"
-        "    def input_files(self): return ['map.yaml']\n\n\n"
+        f"    def input_files(self): return [{named}]\n\n\n"
         "class RobotRunnerConfig(ExperimentConfig):\n    experiment_name = 'x'\n    plugins = [Meter()]\n"
     )
     experiment = prepare(write_config(head=head)).experiment
     assert experiment is not None
-    assert experiment.inputs == ()
+    assert experiment.inputs == tuple(map(InputFile, map(Path, inputs)))
 
 
 NAMELESS = """\

@@ -16,7 +16,6 @@ from robot_runner.core.config.plugin_checks import with_each_treatment
 from robot_runner.core.design.batches import GROWTH, GrownRunTableModel, batches_of
 from robot_runner.core.design.columns import WARM_UP
 from robot_runner.core.design.run_table_model import RunTableModel
-from robot_runner.core.entry_points import instances_of
 from robot_runner.core.errors import ConfigError, Finding
 from robot_runner.core.events.manager import EventManager, OwnerKind, methods_of, no_context, takes_a_context
 from robot_runner.core.events.measure import CONFIG_OWNER, MeasureColumns
@@ -171,7 +170,7 @@ def named_inputs(
 ) -> tuple[InputFile, ...]:
     """Return the input files that plugins, robots and the config (by a method `input_files`) name, each once.
 
-    One whose method raises is logged and left out.
+    A path, or its text, stands for the input file. One whose method raises is logged and left out.
     """
     found: dict[InputFile, None] = {}
     asked: list[tuple[str, Callable[[], Iterable[InputFile]]]] = [
@@ -182,7 +181,7 @@ def named_inputs(
         asked.append(("the config", own))
     for where, ask in asked:
         try:
-            found |= dict.fromkeys(instances_of(InputFile, ask()))
+            found |= dict.fromkeys(each if isinstance(each, InputFile) else InputFile(each) for each in ask())
         except (Exception, SystemExit) as error:  # noqa: BLE001 - a stranger's code; an experiment is worth more than a copy
             _log.warning("%s: which files it reads is not known: %s", where, error)
     return tuple(found)
