@@ -11,7 +11,10 @@ import pytest
 from tests.cluster.conftest import BIN, PATIENCE, Cluster, Watched, table_of
 from tests.core.links.ssh_server import SshServer
 
+from robot_runner.cluster.cluster_checks import check_cluster
+from robot_runner.core.config.parameters import Parameters
 from robot_runner.core.config.preparation import prepare
+from robot_runner.core.plugin import System
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -88,7 +91,25 @@ def test_a_plugin_that_is_set_up_once_for_all_runs_is_refused_as_workers_execute
 
     (problem,) = problems("experiment", cluster="tcp://scheduler:8786")
     assert "set up once for all runs, on this machine" in problem
+    assert ("scope='run'" in problem) == lasting.startswith("Tune")
+    assert ("per='run'" in problem) == lasting.startswith("Program")
     assert problems("experiment") == problems("run", cluster="tcp://scheduler:8786") == []
+
+
+def test_a_plugin_of_ones_own_and_a_part_of_one_that_are_set_up_once_for_all_runs_are_refused() -> None:
+    """Neither has a parameter that says when."""
+
+    class Motors(System):
+        is_for_all_runs = True
+
+    class Fleet(System):
+        def __init__(self) -> None:
+            super().__init__()
+            self.members = (Motors(),)
+
+    (finding,) = check_cluster("study.py", Parameters(cluster="tcp://scheduler:8786"), [Fleet()])
+    assert finding.where == "plugin Motors"
+    assert finding.fix == "Set it up in each run (in start_run), or leave cluster out."
 
 
 def test_caches_are_dropped_in_each_run_on_its_worker(watched: Watched) -> None:

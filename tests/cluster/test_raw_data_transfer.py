@@ -5,17 +5,19 @@ from __future__ import annotations
 import asyncio
 import hashlib
 import json
+import os
 import stat
 import tracemalloc
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import pytest
 
 from robot_runner.cluster.raw_data_transfer import PIECE, TransferError, bring_home, listed_files, open_up
 from robot_runner.core.errors import StorageError
 
-if TYPE_CHECKING:
-    from pathlib import Path
+#: The number of a user that may read nothing of root's.
+_NOBODY = 65534
 
 
 class Worker:
@@ -139,4 +141,31 @@ def test_what_a_run_has_shut_is_opened_up_and_links_lead_nowhere(tmp_path: Path)
     open_up(left)
     modes = [stat.S_IMODE(each.stat().st_mode) for each in (left / "cache", left / "cache" / "bag.db3", outside)]
     assert modes == [0o700, 0o400, 0o500]
-    assert listed_files(left) == ([("cache/bag.db3", 5, hashlib.sha256(b"scans").hexdigest())], ["link"])
+    assert listed_files(left) == ([("cache/bag.db3", 5, hashlib.sha256(b"scans").hexdigest())], ["link"], [])
+
+
+def test_what_may_not_be_read_is_listed_apart_from_all_that_may(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tmp_path.chmod(0o755)
+    monkeypatch.chdir(tmp_path)  # somebody else may not enter the folders above it
+    left = Path("left")
+    for each in ("of_root", "unlisted", "unentered"):
+        (left / each).mkdir(parents=True)
+        (left / each / "bag.db3").write_bytes(b"scans")
+    (left / "energy.csv").write_bytes(b"1")
+    (left / "of_root" / "bag.db3").chmod(0)
+    (left / "unlisted").chmod(0o300)
+    (left / "unentered").chmod(0o444)
+    is_root = os.geteuid() == 0
+    if is_root:  # who may read everything
+        os.seteuid(_NOBODY)
+    try:
+        files, others, unread = listed_files(left)
+    finally:
+        if is_root:
+            os.seteuid(0)
+        for kept in left.iterdir():
+            kept.chmod(0o700)
+    assert (files, others) == ([("energy.csv", 1, hashlib.sha256(b"1").hexdigest())], [])
+    assert unread == ["of_root/bag.db3", "unentered/bag.db3", "unlisted"]

@@ -8,7 +8,7 @@ from typing import Any
 
 from robot_runner.core.config.parameters import Parameters, RunProcess
 from robot_runner.core.errors import ConfigError, Finding
-from robot_runner.core.plugin import Plugin
+from robot_runner.core.plugin import Plugin, with_parts
 
 _TLS = "distributed.comm.tls"
 
@@ -25,10 +25,11 @@ def check_cluster(where: str, parameters: Parameters, plugins: Sequence[Plugin])
     if parameters.run_process is RunProcess.IN_PROCESS:
         problem = "run_process is IN_PROCESS, and a worker executes runs in processes of their own"
         findings.append(Finding.error(f"{where}.run_process", problem, "Leave run_process out, or choose SPAWN."))
-    for each in plugins:
+    for each in {id(part): part for part in with_parts(plugins)}.values():
         if each.is_for_all_runs:
             problem = "it is set up once for all runs, on this machine, and the workers of a cluster execute them"
-            fix = "Have it set up in each run (per='run', or scope='run'), or leave cluster out."
+            spans = [f"{name}='run'" for name in ("per", "scope") if getattr(each, name, None) == "experiment"]
+            fix = f"Set it up in each run ({''.join(spans) or 'in start_run'}), or leave cluster out."
             findings.append(Finding.error(f"plugin {each.name}", problem, fix))
     if parameters.cluster.startswith("tls://"):
         findings += _tls_findings(place)

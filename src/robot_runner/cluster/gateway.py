@@ -294,9 +294,7 @@ class Gateway:
                 self._replies.tell("aside", told)
             await self._tell_lost(attempt, ended["lost"], is_certain=ended.get("is_certain", False))
             return
-        over = {name: ended[name] for name in ("because", "is_interrupted", "seconds")} | {
-            "skipped": ended.get("skipped", [])
-        }
+        over = {name: ended[name] for name in ("because", "is_interrupted", "seconds")}
         if ended.get("files"):
             try:
                 await self._brought_home(attempt, ended)

@@ -50,31 +50,45 @@ def open_up(path: Path) -> None:
                 open_up(each)
 
 
-def listed_files(folder: Path) -> tuple[list[tuple[str, int, str]], list[str]]:
+def listed_files(folder: Path) -> tuple[list[tuple[str, int, str]], list[str], list[str]]:
     """Return name, size and SHA-256 of each regular file of a folder, and the names of what else is there.
 
+    Returns:
+        The files; the names of links, pipes and devices; the names of files and folders that may not be read.
+
     Raises:
-        OSError: something cannot be read.
+        OSError: something cannot be read for another reason.
     """
     files: list[tuple[str, int, str]] = []
     others: list[str] = []
+    unread: list[str] = []
     for path in _paths(folder):
         name = path.relative_to(folder).as_posix()
-        if not stat.S_ISREG(path.lstat().st_mode):
-            others.append(name)
-            continue
-        with path.open("rb") as file:
-            digest = hashlib.file_digest(file, "sha256").hexdigest()
-            files.append((name, file.tell(), digest))
-    return files, others
+        try:
+            mode = path.lstat().st_mode
+            if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
+                others.append(name)
+                continue
+            with path.open("rb") as file:
+                digest = hashlib.file_digest(file, "sha256").hexdigest()
+                files.append((name, file.tell(), digest))
+        except PermissionError:
+            unread.append(name)
+    return files, others, unread
 
 
 def _paths(folder: Path) -> Iterator[Path]:
-    for path in sorted(folder.iterdir()):
-        if path.is_dir() and not path.is_symlink():
-            yield from _paths(path)
+    """Yield what is in a folder and in those below; a folder itself only where it may not be read."""
+    try:
+        inside = sorted(os.scandir(folder), key=lambda each: each.name)
+    except PermissionError:
+        yield folder
+        return
+    for each in inside:
+        if each.is_dir(follow_symlinks=False):
+            yield from _paths(folder / each.name)
         else:
-            yield path
+            yield folder / each.name
 
 
 async def bring_home(read: Read, ended: Mapping[str, Any], run: Path, root: Path) -> None:

@@ -226,9 +226,6 @@ class RunAtWorker:
 
     def end(self, ended: dict[str, Any]) -> None:
         """Take how it ended."""
-        for name in ended.get("skipped", ()):
-            problem = f"{name!r} is not a regular file, and stayed on the worker, where it was removed"
-            self.take([["finding", {"owner": "cluster", "problem": problem, "fix": "Write files, and no links."}]])
         if "lost" in ended and not ended.get("is_certain") and may_be_left_moving(self._place.experiment):
             self.take([["finding", {"owner": "cluster", "problem": _NOT_KNOWN, "fix": LOOK_AT_ROBOT}]])
         self._ended = ended

@@ -43,6 +43,7 @@ from robot_runner.core.storage.claim_locks import HeldClaims
 from robot_runner.core.storage.guarded_files import make_folder, open_descriptor
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.treatments import bind
+from robot_runner.core.words import listed
 
 #: The reason for stopping a run whose orchestrator is out of reach.
 GONE = "the orchestrator is gone, or out of reach"
@@ -58,6 +59,7 @@ _BLOCK = 1 << 20
 _LOOK = 0.25
 #: How often to look whether the lease has ended, s: a poll does not count for how long the machine is suspended.
 _LOOK_AT_LEASE = 1.0
+_STAYED = "stayed on the worker, where it was removed"
 _WAITS_FIX = "It begins once that is free; end the other with Ctrl-C in its terminal if it is not to wait."
 
 
@@ -227,22 +229,34 @@ class _Host:
         if self._builder.ended_because == GONE:
             self._discard(self._task)
             return {"lost": GONE, "is_certain": True}
-        ended = {
+        ended: dict[str, Any] = {
             "because": self._builder.ended_because,
             "is_interrupted": self._builder.is_interrupted,
             "seconds": outcome.seconds,
         }
         try:
             ended |= self._kept(self._task)
-        except PermissionError as error:  # of this run, as where a container has written as root; others go on
-            name = str(error.filename).rpartition(f"{self._token}{os.sep}")[2]
-            ended["because"] = f"{name!r}, which the run has left on the worker, cannot be read: {error.strerror}"
+            for name in ended.pop("skipped"):
+                self._find(f"{name!r} is not a regular file, and {_STAYED}", "Write files, and no links.")
+            if unread := ended.pop("unread"):  # as where a container has written as root; another worker cannot either
+                names = listed(repr(each) for each in unread)
+                problem = f"{names} may not be read by the worker's user, and {_STAYED}"
+                self._find(problem, "Have it written by the worker's user, such as with `user:` in a Compose file.")
+                ended["because"] = ended["because"] or problem
         except (OSError, RobotRunnerError) as error:
-            ended["lost"] = f"what the run left on the worker cannot be kept: {error}"
+            self._discard(self._task)
+            problem = f"what the run left on the worker cannot be kept: {error}"
+            if isinstance(error, PermissionError):  # of this run; others go on
+                ended["because"] = ended["because"] or problem
+            else:
+                ended["lost"] = problem
         room = shutil.disk_usage(self._folder).free
         if outcome.failure is not None and room < _NO_ROOM:
             ended["lost"] = f"the worker's disk is full: {room} bytes are left"
         return ended | ({"is_certain": True, "is_unfit": True} if "lost" in ended else {})
+
+    def _find(self, problem: str, fix: str) -> None:
+        self._records.append(("finding", {"owner": "cluster", "problem": problem, "fix": fix}))
 
     def _discard(self, task: RunTask) -> None:
         """Remove the log and files of a lost attempt: else the next attempt here would append to them."""
@@ -255,27 +269,28 @@ class _Host:
         """Keep the log of a run; put what it has written in place, or make it ready to be sent home."""
         folder = self._experiment.folder
         log = folder.current_log
-        if log.exists() and log.stat().st_size:
-            folder.run(task.run_id).mkdir(parents=True, exist_ok=True)
-            shutil.copyfile(log, folder.log(task.run_id))  # the runs may be on another file system
-        log.unlink(missing_ok=True)
         run = folder.run(task.run_id)
         open_up(run)
+        if log.exists() and log.stat().st_size:
+            run.mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(log, folder.log(task.run_id))  # the runs may be on another file system
+        log.unlink(missing_ok=True)
         if not run.exists():
-            return {"files": 0, "bytes": 0, "skipped": []}
+            return {"files": 0, "bytes": 0, "skipped": [], "unread": []}
         outbox = self._folder / OUTBOX
         outbox.mkdir(exist_ok=True)
         kept = run.rename(outbox / self._token)
-        listed, skipped = listed_files(kept)
+        files, skipped, unread = listed_files(kept)
+        apart = {"skipped": skipped, "unread": unread}
         if self._shared is not None:
             root, runs = self._shared
-            for name, _, _ in listed:
+            for name, _, _ in files:
                 self._put_in_place(kept / name, runs / task.run_id / name, root)
             shutil.rmtree(kept, ignore_errors=True)
-            return {"files": 0, "bytes": 0, "skipped": skipped}
-        text = "".join(json.dumps(each) + "\n" for each in listed)
+            return {"files": 0, "bytes": 0} | apart
+        text = "".join(json.dumps(each) + "\n" for each in files)
         (outbox / f"{self._token}.list").write_text(text, encoding="utf-8")
-        return {"files": len(listed), "bytes": sum(each[1] for each in listed), "list": len(text), "skipped": skipped}
+        return {"files": len(files), "bytes": sum(each[1] for each in files), "list": len(text)} | apart
 
     def _put_in_place(self, source: Path, target: Path, root: Path) -> None:
         """Copy a file into the orchestrator's folder, as long as the lease lasts: then the run is another worker's.
