@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import subprocess
 import sys
 
@@ -85,6 +86,26 @@ def test_a_treatment_that_a_spreadsheet_wrote_in_another_way_is_no_other_one(tmp
     now = load_results(folder.root).runs["Gain"]
     assert list(now.cat.categories) == list(before.cat.categories)
     assert now.tolist() == before.tolist()
+
+
+def test_an_empty_cell_of_a_factor_with_a_treatment_none_that_is_a_word_is_no_treatment(tmp_path):
+    folder = make_experiment(tmp_path / "e", [Factor("Gpu", ["none", "cuda"])])
+    table = folder.run_table.read_text("utf-8")
+    folder.run_table.write_text(table.replace(",cuda,1", ",,1", 1), encoding="utf-8")
+    gpu = load_results(folder.root).runs["Gpu"].tolist()
+    assert (gpu.count(""), gpu.count("none"), gpu.count("cuda")) == (1, 3, 2)
+
+
+def test_a_treatment_that_the_manifest_names_twice_is_one(tmp_path):
+    folder = make_experiment(tmp_path / "e", [Factor("Gain", ["1.10", "007"])])
+    manifest = json.loads(folder.manifest.read_text("utf-8"))
+    manifest["design"]["factors"]["Gain"] = ["1.10", "1.10", "007"]
+    folder.manifest.write_text(json.dumps(manifest), encoding="utf-8")
+    table = folder.run_table.read_text("utf-8")
+    folder.run_table.write_text(table.replace(",007,1", ",7,1", 1), encoding="utf-8")
+    gain = load_results(folder.root).runs["Gain"]
+    assert list(gain.cat.categories) == ["1.10", "007"]
+    assert gain.tolist().count("007") == 3
 
 
 def test_measures_have_types_and_units(tmp_path):

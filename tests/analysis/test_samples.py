@@ -49,6 +49,16 @@ def test_a_factor_that_is_called_as_a_column_of_samples_or_phases_is_kept_beside
     assert aligned.columns.is_unique
     phases = results.phases()
     assert phases[f"{name} (factor)" if name == "phase" else name].tolist() == ["low", "high"]
+
+
+@pytest.mark.parametrize(("name", "left_out"), [("phase", "with_phases"), ("in_window", "with_window")])
+def test_a_factor_keeps_its_name_where_the_column_of_that_name_is_left_out(tmp_path, name, left_out):
+    made = make_experiment(tmp_path / "e", [Factor(name, ["low", "high"])], repetitions=1)
+    for run_id in ("r_1", "r_2"):
+        write_samples(made, run_id, "time_s,power_W\n10.0,8.0\n")
+    results = load_results(made.root)
+    assert results.samples(**{left_out: False})[name].tolist() == ["low", "high"]
+    assert results.samples()[f"{name} (factor)"].tolist() == ["low", "high"]
     assert {path.name for path in results.export(tmp_path / "export")} >= {"phases.parquet", "run_table.parquet"}
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import shutil
 import subprocess
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -45,15 +46,23 @@ def test_each_kind_of_record_is_named() -> None:
     assert set(RECORDS) <= set(re.findall(r"`(\w+)`", table))
 
 
+def saved_by_a_spreadsheet(table: str) -> str:
+    """Return a run table as Excel saves it: truth values in capitals, which R reads as logical values."""
+    return table.replace(",True", ",TRUE").replace(",False", ",FALSE")
+
+
 @pytest.mark.long
 @pytest.mark.skipif(shutil.which("Rscript") is None, reason="R is not installed (Debian: apt install r-base-core)")
+@pytest.mark.parametrize("saved", [str, saved_by_a_spreadsheet])
 def test_r_leaves_out_warm_up_runs_and_excluded_runs_as_the_page_says(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    saved: Callable[[str], str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
     Path("study.py").write_text(STUDY, encoding="utf-8")
     assert main(["study.py", "--plain"]) == 0
     assert main(["exclude", "study.py", "r_2", "--reason", "somebody leaned on the robot"]) == 0
+    table = Path("experiments/basic_experiment/run_table.csv")
+    table.write_text(saved(table.read_text(encoding="utf-8")), encoding="utf-8")
     block = re.search(r"^```r\n(.*?)^```", (DOCS / "analysis.md").read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
     assert block is not None
     Path("read.R").write_text(block[1] + '\ncat("left:", runs$run_id)\n', encoding="utf-8")

@@ -42,9 +42,6 @@ from robot_runner.core.design.columns import RUN_ID, STATUS
 from robot_runner.core.errors import AnalysisError, did_you_mean
 from robot_runner.core.storage.cells import RunStatus
 
-#: The columns of samples besides those that the plugin wrote.
-_OF_SAMPLES = ("time_s", "in_window", "phase", "phase_number")
-
 
 @dataclass(frozen=True)
 class RawData:
@@ -119,6 +116,8 @@ class RawData:
         is_done = table[STATUS] == RunStatus.DONE.value
         windows = {**self.history.windows, **noted_windows(kind, run_ids)}
         wanted = tuple(kind.columns if columns is None else dict.fromkeys(several(columns)))
+        within = ("in_window",) if with_window else ()
+        phases = ("phase", "phase_number") if with_phases else ()
         return SampleRequest(
             kind,
             run_ids,
@@ -126,7 +125,7 @@ class RawData:
             starts={**self.history.starts, **{run: start for run, (start, _) in windows.items()}},
             windows=windows if with_window else None,
             phases=self.phase_spans if with_phases else None,
-            factors=self._treatments(table, (*_OF_SAMPLES, *wanted)) if with_factors else {},
+            factors=self._treatments(table, ("time_s", *within, *phases, *wanted)) if with_factors else {},
             unfinished=frozenset(table.index[~is_done]),
         )
 

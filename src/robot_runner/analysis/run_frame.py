@@ -230,7 +230,7 @@ def _frame(rows: RunTableRows, columns: Sequence[ColumnDescription], manifest: M
         stamps = pd.Series(list(rows.values(name)), dtype="object")
         data[name] = pd.to_datetime(stamps, utc=True, errors="coerce", format="ISO8601")
     for name in rows.layout.factor_names:
-        data[name] = _factor(list(rows.values(name)), types.get(name, "any"), declared.get(name, ()))
+        data[name] = _factor(name, list(rows.values(name)), types.get(name, "any"), declared.get(name, ()))
     for name in rows.layout.repetition:
         data[name] = pd.array(list(rows.values(name)), dtype="Int64")
     for name in rows.layout.marks:
@@ -244,9 +244,9 @@ def _frame(rows: RunTableRows, columns: Sequence[ColumnDescription], manifest: M
     return frame
 
 
-def _factor(values: Sequence[Any], kind: str, declared: Sequence[str]) -> pd.Categorical:
+def _factor(name: str, values: Sequence[Any], kind: str, declared: Sequence[str]) -> pd.Categorical:
     """Return an ordered categorical: first the treatments in the config's order, then others as they occur."""
-    texts = _as_declared(list(map(_text, values)), declared)
+    texts = _as_declared(name, list(map(_text, values)), declared)
     found = dict(zip(texts, values, strict=True))
     order = list(dict.fromkeys([*declared, *(found if declared else _in_order(found.values()))]))
     categories: list[Any] = order
@@ -264,16 +264,17 @@ def _factor(values: Sequence[Any], kind: str, declared: Sequence[str]) -> pd.Cat
 _MOST_COMPARED = 1_000_000
 
 
-def _as_declared(texts: Sequence[str], declared: Sequence[str]) -> list[str]:
+def _as_declared(name: str, texts: Sequence[str], declared: Sequence[str]) -> list[str]:
     """Return the texts of treatments, with those that a spreadsheet wrote in another way as they are in the config."""
     odd = set(texts).difference(declared) if declared else set()
     if not 0 < len(odd) * len(declared) <= _MOST_COMPARED:
         return list(texts)
-    factor, known = Factor("declared", declared), {}
-    for text in odd:
-        # Spreadsheets and pandas leave None empty.
-        place = treatment_position(factor, text or str(None), decimal_comma=True)
-        known[text] = text if place is None else declared[place]
+    factor = Factor(name, list(dict.fromkeys(declared)))
+    # Spreadsheets and pandas leave None empty.
+    known = {"": str(None) if str(None) in declared else ""}
+    for text in odd.difference(known):
+        place = treatment_position(factor, text, decimal_comma=True)
+        known[text] = text if place is None else factor.texts[place]
     return [known.get(text, text) for text in texts]
 
 

@@ -55,6 +55,22 @@ def test_ids_and_links_of_others_take_no_file_from_elsewhere_without_a_word(tmp_
     assert f"the files are copied to which links lead out of the folder: linked to {other}" in told
 
 
+def test_a_link_above_the_folders_of_runs_is_told_where_it_leads_out(tmp_path):
+    """The files were copied from elsewhere without a word."""
+    results, other = tmp_path / "results", tmp_path / "else"
+    write(results / "run_table.csv", "run_id,mode,energy\nr_1,a,1.5\nr_2,b,2.5\n")
+    for run_id in ("r_1", "r_2"):
+        write(other / run_id / "power.csv", "time,power\n0,1\n1,2\n")
+    (results / "runs").symlink_to(other)
+    told = "\n".join(understand(results, ImportDescription(run_id="run_id")).notes)
+    assert f"the files are copied to which links lead out of the folder: runs to {other}" in told
+    (results / "runs").unlink()
+    other.rename(results / "inside")
+    (results / "runs").symlink_to("inside")
+    told = "\n".join(understand(results, ImportDescription(run_id="run_id")).notes)
+    assert "lead out of the folder" not in told
+
+
 OWN_TABLE = """\
 run_id,status,excluded,start_run_at,continue_at,Task,Repetition,batch,warm_up,Energy
 w_1,Done,,2026-01-31T12:00:00.250Z,,Idle,0,1,True,99

@@ -8,6 +8,7 @@ import pytest
 
 from robot_runner.analysis.planning.assumed_values import differences_of, means_file
 from robot_runner.analysis.planning.planned_study import Study
+from robot_runner.analysis.planning.power_analysis import Assumptions, scenarios_of
 from robot_runner.core.design.factor import Factor
 from robot_runner.core.design.run_table_model import RunTableModel
 from robot_runner.core.errors import AnalysisError
@@ -60,3 +61,38 @@ def test_a_difference_of_a_conditional_factor_is_of_the_runs_to_which_it_applies
     with pytest.raises(AnalysisError) as refused:
         differences_of(study, ["Sensor x Resolution=4"], ["Energy"])
     assert refused.value.problem == "Sensor has one treatment where Resolution applies"
+
+
+def test_a_share_beside_a_file_of_means_moves_these_and_keeps_their_differences(tmp_path: Path) -> None:
+    study = Study.of_model(
+        "study", RunTableModel([Factor("Task", ["Video", "Network"])], repetitions=3), None, {"Ok": "", "Energy": "J"}
+    )
+    path = tmp_path / "means.csv"
+    path.write_text("Task,Ok,Energy\nVideo,80%,3\nNetwork,90%,4\n", encoding="utf-8")
+    told = Assumptions(means=path, measures=["Ok"], shares=["Ok=50"], spreads=["Energy=1"])
+    (scenario,) = scenarios_of(study, told)
+    assert scenario.measures[0].means == {("Video",): 45, ("Network",): 55}
+    with pytest.raises(AnalysisError, match="Energy is a number, and not yes or no"):
+        scenarios_of(study, Assumptions(means=path, measures=["Energy"], shares=["Energy=50"], spreads=["Energy=1"]))
+
+
+@pytest.mark.parametrize(
+    ("shares", "spreads", "problem"),
+    [
+        (["Okk=85"], [], "--share: there is no measure 'Okk'"),
+        (["0.85"], [], "--share: '0.85' reads as a fraction → Give percent: 85 (or 0.85%, if so few say yes)."),
+        (["Ok=60"], ["Ok=3"], "--sd Ok=3: Ok is yes or no"),
+        (["60"], ["3"], "--sd 3: Ok is yes or no"),
+    ],
+)
+def test_a_share_that_cannot_be_meant_is_refused(shares: list[str], spreads: list[str], problem: str) -> None:
+    study = Study.of_model("study", RunTableModel([Factor("Task", ["Video", "Network"])]), None, {"Ok": ""})
+    with pytest.raises(AnalysisError) as refused:
+        scenarios_of(study, Assumptions(shares=shares, spreads=spreads, differences=["Task=0.1"]))
+    assert problem in str(refused.value)
+
+
+def test_less_than_one_percent_is_a_share_where_it_is_written_so() -> None:
+    study = Study.of_model("study", RunTableModel([Factor("Task", ["Video", "Network"])]), None, {"Ok": ""})
+    (scenario,) = scenarios_of(study, Assumptions(shares=["0.5%"], differences=["Task=0.2"]))
+    assert scenario.measures[0].means == pytest.approx({("Video",): 0.4, ("Network",): 0.6})

@@ -70,3 +70,15 @@ def test_what_is_said_of_blocks_is_refused_in_a_study_without_any(of_blocks: Ass
     assumptions = replace(of_blocks, spreads=["5"], differences=["Task=5"])
     with pytest.raises(AnalysisError, match="the study has no blocks"):
         power_analysis(study, assumptions, Search(first=3, last=4, simulations=500))
+
+
+def test_a_treatment_that_is_excluded_everywhere_is_none_of_the_study() -> None:
+    planner, world = Factor("Planner", ["A", "B", "C"]), Factor("World", ["x", "y"])
+    model = RunTableModel([planner, world], repetitions=4, exclude_combinations=[{planner: ["C"]}])
+    study = Study.of_model("study", model, None, UNITS)
+    assert study.factors == {"Planner": ("A", "B"), "World": ("x", "y")}
+    assumptions = Assumptions(spreads=["1"], differences=["Planner=3"])
+    found = power_analysis(study, assumptions, Search(first=4, last=4, simulations=20))
+    (scenario,) = found.scenarios
+    assert [scenario.claims[place].label for place in scenario.sought] == ["effect of Planner on Energy"]
+    assert scenario.scenario.measures[0].means[("B", "x")] - scenario.scenario.measures[0].means[("A", "x")] == 3

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from itertools import product
 from typing import TYPE_CHECKING, Any
@@ -344,6 +345,29 @@ def test_power_of_two_shares_is_that_of_all_tables_of_fishers_test() -> None:
     assert found.mean() == pytest.approx(exact, abs=4 * np.sqrt(exact * (1 - exact) / found.size))
 
 
+def p_value_of_three(yes: tuple[int, ...], n: int) -> float:
+    """Return the probability of all tables of three treatments of n runs that are as uneven, given the sum of yes."""
+    alike = [each for each in product(range(n + 1), repeat=3) if sum(each) == sum(yes)]
+    chances = [math.prod(math.comb(n, one) for one in each) for each in alike]
+    spread = sum(one**2 for one in yes)
+    as_uneven = (chance for each, chance in zip(alike, chances, strict=True) if sum(one**2 for one in each) >= spread)
+    return sum(as_uneven) / sum(chances)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("alpha", [0.01, 0.002])
+def test_power_of_three_shares_under_a_strict_level_is_that_of_all_tables(alpha: float) -> None:
+    study, n, of_three = answered([Factor("Planner", ["A", "B", "C"])], AnalysisPlan("Ok", alpha=alpha)), 6, (5, 50, 95)
+    simulation, key = Simulation(study, shares(study, 50, "Planner=90"), n, seed=(5,)), effect_key("Ok", ["Planner"])
+    exact = sum(
+        math.prod(float(stats.binom.pmf(one, n, share / 100)) for one, share in zip(yes, of_three, strict=True))
+        for yes in product(range(n + 1), repeat=3)
+        if p_value_of_three(yes, n) < alpha
+    )
+    found = np.concatenate([simulation.found(part)[key] for part in range(4)])
+    assert found.mean() == pytest.approx(exact, abs=4 * np.sqrt(exact * (1 - exact) / found.size))
+
+
 @pytest.mark.long
 def test_power_of_a_bound_of_shares_is_that_of_all_tables_within_newcombes_interval() -> None:
     study = answered([PLANNER], bounds(NOT_WORSE, family=Family.HYPOTHESES))
@@ -423,6 +447,29 @@ def test_shares_are_told_by_options_a_file_and_a_pilot(tmp_path: Path) -> None:
     assert of_pilot.measures[0].is_share
     with pytest.raises(AnalysisError, match="105 % of the runs of TEB would say yes to Ok"):
         scenarios_of(study, Assumptions(shares=["Ok=95"], differences=["Planner=20"]))
+
+
+@pytest.mark.long
+def test_a_share_beside_a_pilot_keeps_its_differences_and_its_blocks(tmp_path: Path) -> None:
+    study, random = answered([ROOM, PLANNER], AnalysisPlan("Ok", blocks="Room")), np.random.default_rng(1)
+    chances = dict(zip("abcdef", (0.1, 0.3, 0.5, 0.7, 0.9, 0.95), strict=True))
+    made = make_experiment(
+        tmp_path / "pilot",
+        [ROOM, PLANNER],
+        lambda treatments, _: {"Ok": bool(random.random() < chances[treatments["Room"]])},
+        repetitions=6,
+        measures=("Ok",),
+    )
+    pilot = Assumptions(pilot=load_results(made.root))
+    (alone,) = scenarios_of(study, pilot)
+    moved, of_interest = scenarios_of(study, replace(pilot, shares=["60"], differences=["Planner=10"]))
+    ok, own = moved.measures[0], alone.measures[0]
+    assert np.mean(list(ok.means.values())) == pytest.approx(60)
+    assert np.ptp([ok.means[cell] - own.means[cell] for cell in study.cells]) == pytest.approx(0)
+    assert of_interest.measures[0].means["a", "TEB"] == pytest.approx(65)
+    assert of_interest.measures[0].block_sd == ok.block_sd == own.block_sd > 20
+    with pytest.raises(AnalysisError, match="Ok is yes or no"):
+        scenarios_of(study, replace(pilot, spreads=["Ok=3"]))
 
 
 def test_rooms_that_suit_planners_differently_take_more_of_them() -> None:

@@ -198,6 +198,8 @@ DESIGNS: dict[str, tuple[list[Factor], int, set[int], dict[str, Any]]] = {
         {"blocks": "Room", "analysis": SUCCESS},
     ),
     "yes or no, all succeed": ([Factor("Room", list("abcde")), TASKS], 4, {1}, {"blocks": "Room", "analysis": SUCCESS}),
+    "yes or no, saved by R": ([MAPS], 12, {1}, {}),
+    "yes or no, saved by Excel in Dutch": ([MAPS], 12, {1}, {}),
     "yes or no, three treatments": ([TASKS], 8, set(), {}),
     "yes or no, two factors": ([TASKS, MAPS], 7, {2, 3}, {"analysis": {"measures": ["Energy", "CPU"]}}),
     "yes or no, blocks": ([TASKS, MAPS], 9, {4}, {"blocks": "Repetition"}),
@@ -308,7 +310,10 @@ def experiment(folder: Path, name: str) -> Path:
         told = told or ("two always succeed" in name and treatments["Task"] != "Idle")
         told = told or "all succeed" in name
         beside = float(random.lognormal()) * (1e11 if "bytes" in name else 1)  # far from the size of other columns
-        return None if next(runs) in missing else {"Energy": told, "CPU": beside}
+        is_lacking = "saved by" in name and repetition == 3
+        measured = {"Energy": None if is_lacking and treatments["Map"] == "lab" else told, "CPU": beside}
+        measured |= {"CPU": None} if is_lacking else {}
+        return None if next(runs) in missing else measured
 
     made = make_experiment(
         folder / "made",
@@ -319,7 +324,24 @@ def experiment(folder: Path, name: str) -> Path:
         units={"Energy": "J"},
         **more,
     )
+    if "saved by" in name:
+        saved = as_r_saves if "by R" in name else as_excel_saves_in_dutch
+        made.run_table.write_text(saved(made.run_table.read_text(encoding="utf-8")), encoding="utf-8")
     return made.root
+
+
+def as_r_saves(table: str) -> str:
+    """Return a run table as `write.csv` saves it: of the measures, what is missing is `NA`."""
+    heading, *lines = [line.split(",") for line in table.splitlines()]
+    rows = [[*line[:-2], *(cell or "NA" for cell in line[-2:])] for line in lines]
+    return "".join(",".join(row) + "\n" for row in [heading, *rows]).replace("True", "TRUE").replace("False", "FALSE")
+
+
+def as_excel_saves_in_dutch(table: str) -> str:
+    """Return a run table as Excel saves it in the Netherlands: words, decimal signs and delimiters are Dutch."""
+    heading, *lines = [line.split(",") for line in table.splitlines()]
+    rows = [[*line[:-1], line[-1].replace(".", ",")] for line in lines]
+    return "".join(";".join(row) + "\n" for row in [heading, *rows]).replace("True", "WAAR").replace("False", "ONWAAR")
 
 
 @contextlib.contextmanager
@@ -386,6 +408,8 @@ IN_BOTH = {
     "conditional factors",
     "yes or no, a conditional factor",
     "yes or no, bounds",
+    "yes or no, saved by R",
+    "yes or no, saved by Excel in Dutch",
     "odd names",
     "a split plot that lost runs",
     "a split plot of two factors within, adjusted for bytes, a plot lacking one",
@@ -672,6 +696,29 @@ def test_the_notebook_of_a_study_in_which_nothing_is_compared_is_executed(
     )
     (notebook,) = write_recomputations(folder.root, [Recomputation.NOTEBOOK])
     assert "numbers agree" in executed(notebook, monkeypatch)
+
+
+@pytest.mark.long
+@needs_r
+def test_warm_up_runs_and_excluded_runs_of_a_table_that_r_saved_are_left_out(
+    robot_runner: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    failing = IN_ROOMS.replace("    import random", "    assert context.run_id != 'r_3'\n    import random")
+    config = written_config(tmp_path, failing, table=TABLE.replace("repetitions=2", "repetitions=5, warm_up=2"))
+    folder = execute_experiment(prepare_or_refuse(config), SilentObserver()).folder
+    assert robot_runner("exclude", config, "r_2", "--reason", "leaned on").code == 0
+    table = folder / "run_table.csv"
+    saved = table.read_text(encoding="utf-8").replace(",True", ",TRUE").replace(",False", ",FALSE")
+    saved = saved.replace(",Done,,", ",Done,NA,").replace(",Failed,,", ",Failed,NA,")
+    table.write_text(saved, encoding="utf-8")
+    assert ",TRUE" in saved
+    assert ",Done,NA," in saved
+    assert ",Failed,NA," in saved
+    assert len(load_results(folder).excluded) == 1
+    notebook, script = write_recomputations(folder, list(Recomputation))
+    assert "numbers agree" in executed(notebook, monkeypatch)
+    finished = rscript(script)
+    assert finished.returncode == 0, finished.stdout[-3000:] + finished.stderr
 
 
 def test_a_template_cannot_print_a_text_as_it_is() -> None:

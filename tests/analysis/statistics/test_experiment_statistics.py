@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from dataclasses import fields, is_dataclass, replace
 
@@ -161,6 +162,18 @@ def test_a_measure_that_is_yes_or_no_in_some_runs_and_a_number_in_others(tmp_pat
 
     (missing,) = statistics(tmp_path, values=mixed).measure("Energy").not_computed
     assert missing.why == "some of its values are True or False, and others numbers: publish all as one of them."
+
+
+def test_a_measure_without_any_value_is_said_to_have_none(tmp_path):
+    made = make_experiment(tmp_path / "e", values=lambda *_: {"Energy": None}, measures=("Energy",))
+    schema = made.root / "run_table.schema.json"
+    told = json.loads(schema.read_text(encoding="utf-8"))
+    for column in told["fields"]:
+        if column["name"] == "Energy":
+            column["type"] = "string"
+    schema.write_text(json.dumps(told), encoding="utf-8")
+    (missing,) = analyse(load_results(made.root)).measure("Energy").not_computed
+    assert missing.why == "no run that is done has a value."
 
 
 def test_a_measure_of_texts_that_read_as_numbers_says_how_they_become_some(tmp_path):

@@ -393,6 +393,20 @@ def test_a_proportion_is_within_a_bound_where_the_interval_of_newcombe_is(tmp_pa
     assert "percentage points" in outcome.conclusion
 
 
+def test_a_bound_that_reads_as_a_fraction_is_told_in_points_and_in_percent(tmp_path: Path) -> None:
+    answers = {("DWB",): said(46, 50), ("TEB",): said(47, 50)}
+    found = analysed(tmp_path, [PLANNER], answers, analysis={"hypotheses": [NOT_WORSE | {"below": 0.1}]})
+    assert "the claim is below 0.1 percentage points (10% would be 10)." in found.hypotheses[0].conclusion
+
+
+def test_a_bound_of_three_treatments_that_always_succeed_has_its_own_reason(tmp_path: Path) -> None:
+    stated = {"statement": "Alike.", "measure": "Success", "factors": ["Planner"], "within": 20}
+    answers = {(each,): said(5, 5) for each in "ABC"}
+    found = analysed(tmp_path, [Factor("Planner", list("ABC"))], answers, analysis={"hypotheses": [stated]})
+    conclusion = found.hypotheses[0].conclusion
+    assert conclusion.startswith("It could not be tested: a bound is of two treatments, and it names none")
+
+
 def test_treatments_that_always_succeed_are_alike_within_a_bound(tmp_path: Path) -> None:
     answers = {("DWB",): said(30, 30), ("TEB",): said(30, 30)}
     # The upper end of Wilson's interval of 0 of 30 at 90 %: z^2 / (30 + z^2) = 8.27 %.

@@ -8,6 +8,7 @@ import shlex
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 from pathlib import Path, PurePath
 from typing import TYPE_CHECKING
 
@@ -330,11 +331,12 @@ def _link_notes(root: Path, runs: Sequence[ForeignRun]) -> Iterator[str]:
     if out:
         yield f"{counted(len(out), 'run id')} would lead out of the folder, such as {out[0]!r}: no raw files are taken"
     folders = {run.folder: sorted(run.folder.iterdir()) for run in runs if run.folder}
-    links = [each for folder, files in folders.items() for each in (folder, *files) if each.is_symlink()]
+    above = sorted({each for folder in folders for each in (folder, *folder.parents) if each.is_relative_to(root)})
+    links = [each for each in (*above, *chain.from_iterable(folders.values())) if each.is_symlink()]
     if lost := [os.path.relpath(each, root) for each in links if not each.exists()]:
         yield f"links to raw files lead nowhere ({listed(lost)}): bring the files, as by datalad get"
     results = root.resolve()
-    copied = {each: each.resolve() for each in links if each.is_file() or each in folders}
+    copied = {each: each.resolve() for each in links if each.is_file() or each in above}
     out = [f"{os.path.relpath(each, root)} to {end}" for each, end in copied.items() if not end.is_relative_to(results)]
     if out:
         yield f"the files are copied to which links lead out of the folder: {listed(out, shown=1)}"

@@ -29,8 +29,6 @@ from robot_runner.analysis.statistics.tests import AnyModel, model_of
 from robot_runner.core.design.analysis_plan import Estimand, Statistic
 from robot_runner.core.design.hypothesis import Hypothesis
 
-#: Random tables of three and more treatments: over many experiments, the error of a single p-value averages out.
-_DRAWS = 499
 _HALF = 50.0
 
 
@@ -49,16 +47,21 @@ class ExactTests:
         """The factors of each tested effect: there are no interactions."""
         return tuple((name,) for name in self.data.factors)
 
-    def p_values(self, percent: Floats, hypotheses: Sequence[Hypothesis]) -> dict[Key, Floats]:
+    def p_values(self, percent: Floats, hypotheses: Sequence[Hypothesis], draws: int) -> dict[Key, Floats]:
         """Return the uncorrected p-value of each test in each experiment; NaN where there is none.
 
         Args:
             percent: 100 for yes and 0 for no, (experiments, runs).
             hypotheses: those with a contrast or a bound.
+            draws: the number of random tables for three or more treatments.
         """
+
+        def of_effect(table: Strata) -> float:
+            return table.p_value(draws) if table.statistic()[1] else np.nan
+
         answers = (percent > _HALF).astype(np.float64)
         found = {
-            effect_key(self.data.name, (name,)): self._of_each(name, self.data.levels(name), answers, _p_value)
+            effect_key(self.data.name, (name,)): self._of_each(name, self.data.levels(name), answers, of_effect)
             for name in self.data.factors
         }
         for hypothesis in hypotheses:
@@ -99,10 +102,6 @@ class ExactTests:
                 known[told] = p_value(table)
             found.append(known[told])
         return np.array(found)
-
-
-def _p_value(table: Strata) -> float:
-    return table.p_value(_DRAWS) if table.statistic()[1] else np.nan
 
 
 def answer_model_of(

@@ -102,12 +102,18 @@ class Study:
             plan = replace(plan, blocks=REPETITION)
         if plan is not None and plan.blocks not in {None, REPETITION, *(factor.name for factor in model.factors)}:
             raise _no_column(plan.blocks, name)
+        listed = (tuple(map(str, each)) for each in found)
+        if arranged is not None:
+            listed = (run.cell for run in arranged(model.repetitions))
+        cells = tuple(dict.fromkeys(listed))
+        used = [{cell[place] for cell in cells} for place in range(len(studied))]  # some may be excluded everywhere
         return cls(
             name,
-            {factor.name: tuple(factor.texts) for factor in studied},
-            tuple(dict.fromkeys(tuple(map(str, each)) for each in found))
-            if arranged is None
-            else tuple(dict.fromkeys(run.cell for run in arranged(model.repetitions))),
+            {
+                factor.name: tuple(text for text in factor.texts if text in texts)
+                for factor, texts in zip(studied, used, strict=True)
+            },
+            cells,
             REPETITION if model.blocks == counted_by else model.blocks,
             model.shuffle,
             model.repetitions if counting is None else len(counting.treatments),

@@ -200,8 +200,9 @@ def _measures(study: Study, assumptions: Assumptions) -> tuple[str, ...]:
     asked = tuple(study.measure(name, "--measure") for name in assumptions.measures)
     if study.plan is not None:
         return asked or tuple(study.measure(name, "analysis") for name in study.plan.measures)
-    named = [text.rpartition("=")[0] for text in (*assumptions.spreads, *assumptions.shares)]
-    found = asked or tuple(dict.fromkeys(study.measure(name, "--sd") for name in named if name))
+    options = (("--sd", assumptions.spreads), ("--share", assumptions.shares))
+    named = [(text.rpartition("=")[0].strip(), option) for option, texts in options for text in texts]
+    found = asked or tuple(dict.fromkeys(study.measure(name, option) for name, option in named if name))
     if not found and assumptions.pilot is not None:
         found = tuple(name for name in study.units if name in assumptions.pilot.measures)[:_MOST_MEASURES]
     if not found and len(study.units) == 1:
@@ -218,11 +219,7 @@ def _scenarios(
 ) -> Iterator[Scenario]:
     spreads = numbers_of(study, "--sd", assumptions.spreads, measures)
     differences = differences_of(study, assumptions.differences, measures)
-    told = [text.strip().removesuffix("%") for text in assumptions.shares]
-    shares = {
-        name: AssumedMeasure.of_shares(name, dict.fromkeys(study.cells, share))
-        for name, share in numbers_of(study, "--share", told, measures).items()
-    }
+    shares = _shares(study, assumptions.shares, measures)
     base: Mapping[str, AssumedMeasure] = pilot.measures if pilot is not None else {}
     if assumptions.means is not None:
         if pilot is not None:
@@ -230,19 +227,56 @@ def _scenarios(
             raise AnalysisError("--means and --pilot both say what the means are", where="power", fix=fix)
         base = means_file(study, assumptions.means, spreads)
         _refuse_unknown(measures, base, f"--means {assumptions.means}")
+    base = {name: _with_share(each, shares[name]) if name in shares else each for name, each in base.items()}
+    answers = {*shares, *(name for name, each in base.items() if each.is_share)}
+    for text in assumptions.spreads:
+        if answers.issuperset(of := numbers_of(study, "--sd", [text], measures)):
+            problem = f"{enumerated(list(of))} is yes or no, whose standard deviation follows from its share"
+            raise AnalysisError(problem, where=f"--sd {text}", fix="Leave it out.")
     base = {name: each.with_spread(spreads[name]) if name in spreads else each for name, each in base.items()}
+    assumed = {name: AssumedMeasure.of_shares(name, dict.fromkeys(study.cells, each)) for name, each in shares.items()}
     if base:
         title = "the means of the file" if pilot is None else "the pilot's effects"
         yield Scenario(title, tuple(base[name] for name in measures))
     if differences:
         title = "the smallest effects of interest" if base else "the assumed effects"
-        yield assumed_scenario(study, measures, differences, spreads, {**base, **shares}, title)
+        yield assumed_scenario(study, measures, differences, spreads, {**assumed, **base}, title)
     elif not base:
         if not (spreads or shares):
             fix = "Give --pilot FOLDER, or --sd (--share of what is yes or no) and --difference, or --means FILE."
             raise AnalysisError("nothing is assumed of the values that will be measured", where="power", fix=fix)
         fix = "Give --difference FACTOR=NUMBER, in the measure's unit."
         raise AnalysisError("no difference is assumed that could be found", where="power", fix=fix)
+
+
+def _shares(study: Study, texts: Sequence[str], measures: Sequence[str]) -> dict[str, float]:
+    """Return the share of yes of each measure in percent, from texts such as `85`, `85%` or `Ok=85`.
+
+    Raises:
+        AnalysisError: a text cannot be read, or is below 1 without `%`, as a fraction is.
+    """
+    found: dict[str, float] = {}
+    for text in map(str.strip, texts):
+        each = numbers_of(study, "--share", [text.removesuffix("%")], measures)
+        for share in each.values():
+            if 0 < share < 1 and not text.endswith("%"):
+                fix = f"Give percent: {100 * share:g} (or {share:g}%, if so few say yes)."
+                raise AnalysisError(f"{text!r} reads as a fraction", where="--share", fix=fix)
+        found |= each
+    return found
+
+
+def _with_share(known: AssumedMeasure, share: float) -> AssumedMeasure:
+    """Return the same with this share of yes over all combinations, in percent, and the same differences and blocks.
+
+    Raises:
+        AnalysisError: it is a number, or a share is then not one of a hundred.
+    """
+    if not known.is_share:
+        fix = "Give --sd in its place, or publish True and False (in a file of means: 80%)."
+        raise AnalysisError(f"{known.name} is a number, and not yes or no", where="--share", fix=fix)
+    added = share - sum(known.means.values()) / len(known.means)
+    return AssumedMeasure.of_shares(known.name, {cell: mean + added for cell, mean in known.means.items()}, known)
 
 
 def _refuse_unknown(measures: Sequence[str], base: Mapping[str, AssumedMeasure], where: str) -> None:

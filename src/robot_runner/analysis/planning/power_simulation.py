@@ -6,6 +6,7 @@ experiments. Descriptions, figures and sentences are left out, so that it takes 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -42,8 +43,10 @@ if TYPE_CHECKING:
 #: The number of experiments that are drawn and analysed together, so that counts do not depend on the batch size.
 AT_ONCE = 500
 
-#: The number of bootstrap draws: over many experiments, the error of a single p-value averages out.
+#: The fewest draws of bootstrapped and permuted tests: over many experiments, the error of a p-value averages out.
 _DRAWS = 499
+#: How many times finer than the smallest level p-values are: none is below 1 / (draws + 1).
+_FINER = 10
 
 
 class Claim(NamedTuple):
@@ -188,6 +191,14 @@ class Simulation:
                 )
         return tuple(found)
 
+    @cached_property
+    def _draws(self) -> int:
+        """The number of draws of a test: the smallest level is that of one test among all, corrected."""
+        names = {each.assumed.name for each in self._measures}
+        planned = names | set(self._plan.measures if self._plan is not None else ())
+        tests = len(self.claims) * len(planned) / len(names)  # what is not simulated may share their family
+        return max(_DRAWS, math.ceil(_FINER * tests / self._choices.alpha))
+
     def found(self, part: int, experiments: int = AT_ONCE) -> dict[Key, NDArray[np.bool_]]:
         """Return which claims are significant after correction, in each experiment of a part."""
         p_values = self.p_values(part, experiments)
@@ -245,11 +256,11 @@ class Simulation:
         del part  # nothing is drawn
         name, is_share = prepared.assumed.name, prepared.assumed.is_share
         if isinstance(prepared.model, ExactTests):
-            return prepared.model.p_values(values, contrasts_of(self._plan, name))
+            return prepared.model.p_values(values, contrasts_of(self._plan, name), self._draws)
         estimand = Estimand.MEAN if is_share else self._choices.estimand
         choices, mine = (estimand, self._choices.statistic), values[:, prepared.rows]
         if isinstance(prepared.model, CellMeans):
-            means = CellMeans.of_values(prepared.model.layout, mine, *choices, _DRAWS)
+            means = CellMeans.of_values(prepared.model.layout, mine, *choices, self._draws)
             found, alike = self._tested(name, means, estimand), ~means.has_variation
             return self._of_shares(found, prepared.every, values, alike) if is_share else found
         model = designed_model_of(prepared.data, *choices, mine)
@@ -268,9 +279,9 @@ class Simulation:
                 key = contrast_key(hypothesis.statement)
                 found[key] = np.maximum(found[key], apart)
                 if not data.known.columns and (unknown := np.isnan(found[key])).any():
-                    found[key][unknown] = exact.p_values(values[unknown], [hypothesis])[key]
+                    found[key][unknown] = exact.p_values(values[unknown], [hypothesis], self._draws)[key]
         if alike.any():
-            of_alike = exact.p_values(values[alike], hypotheses)
+            of_alike = exact.p_values(values[alike], hypotheses, self._draws)
             for key, p_values in found.items():
                 p_values[alike] = of_alike.get(key, np.full(int(alike.sum()), np.nan))
         return found

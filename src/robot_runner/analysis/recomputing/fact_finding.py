@@ -30,12 +30,13 @@ from robot_runner.analysis.statistics.experiment_statistics import analyse
 from robot_runner.analysis.statistics.families import Key, contrast_key, effect_key, families_of
 from robot_runner.analysis.statistics.tests import Choices
 from robot_runner.core.design.columns import EXCLUDED, RUN_ID, STATUS, WARM_UP
+from robot_runner.core.storage.cells import typed_value
 from robot_runner.core.storage.guarded_files import read_bytes
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.run_table_reading import delimiter_of, match_headings
 from robot_runner.core.storage.system_refusals import storage_error
 from robot_runner.core.storage.table_columns import TableLayout
-from robot_runner.core.storage.table_decoders import TableFindings
+from robot_runner.core.storage.table_decoders import MISSING, TableFindings
 
 if TYPE_CHECKING:
     from robot_runner.analysis.results import Results
@@ -325,12 +326,15 @@ def source_of(results: Results, design: Design, cells: Cells, folder: Path) -> T
     by_stamps = {at: place for place, at in enumerate(sorted(range(len(stamps)), key=stamps.__getitem__), start=1)}
     is_stamped = is_stamped and places == [by_stamps[at] for at in range(len(stamps))]
     is_ordered = is_stamped or places == list(range(1, len(places) + 1))
+    texts = sorted({text for name in (*results.measures, EXCLUDED, WARM_UP) for text in cells.column(name)})
     return TableSource(
         path=os.path.relpath(path.resolve(), folder.resolve()).replace(os.sep, "/"),
         checksum=hashlib.md5(read_bytes(path), usedforsecurity=False).hexdigest(),
         delimiter=cells.delimiter,
         renamed=cells.renamed,
         done=chosen or (),
+        missing=tuple(text for text in texts if _is_missing(text)),
+        yes=tuple(filter(_is_yes, texts)),
         has_exclusions=EXCLUDED in cells,
         has_warm_ups=WARM_UP in cells,
         batch=batch,
@@ -351,9 +355,17 @@ def _chosen(
     found = [
         run
         for run, word, why, warms, batch in zip(*columns, strict=True)
-        if word in done and not why and warms != "True" and (not batches or batch in confirming)
+        if word in done and _is_missing(why) and not _is_yes(warms) and (not batches or batch in confirming)
     ]
     return done if found == list(used) and used else None
+
+
+def _is_missing(text: str) -> bool:
+    return text in MISSING or not text.strip()
+
+
+def _is_yes(text: str) -> bool:
+    return typed_value(text, "boolean") is True
 
 
 def factor_columns(design: Design, cells: Cells) -> tuple[FactorColumn, ...]:

@@ -27,15 +27,13 @@ class TableSource:
     """The facts for reading the run table.
 
     Attributes:
-        path: relative to the folder of the script.
-        checksum: MD5, to detect changes of the table.
+        path, checksum: relative to the folder of the script, and MD5, to detect changes of the table.
         delimiter: between cells; with a semicolon, the decimal separator is a comma.
         renamed: columns whose headings differ from their names: the position from 1, and the name.
         done: the status texts of runs that are done.
-        has_exclusions: whether there is a column with the reasons of exclusions.
-        has_warm_ups: whether there is a column that marks warm-up runs.
-        batch, confirming: the column of batches, and the batches that confirm the results of a search, which alone are
-            used.
+        missing, yes: the texts of missing values, and those of yes, as they stand in the file.
+        has_exclusions, has_warm_ups: whether there is a column of the reasons of exclusions, and one of warm-up runs.
+        batch, confirming: the column of batches, and those that confirm the results of a search: only they are used.
         run_ids: the used runs, if the columns do not determine them.
         stamp: the column of the time stamps for the order of execution; empty for the order of the table.
         places: the place of each run in that order, if the column does not determine it.
@@ -46,6 +44,8 @@ class TableSource:
     delimiter: str
     renamed: tuple[tuple[int, str], ...]
     done: tuple[str, ...]
+    missing: tuple[str, ...]
+    yes: tuple[str, ...]
     has_exclusions: bool
     has_warm_ups: bool
     batch: str

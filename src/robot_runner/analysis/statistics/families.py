@@ -335,21 +335,26 @@ def _result_in_words(tested: Effect | ContrastTest, measure: MeasureStatistics, 
         claim = f"; the claim is within ±{exact(hypothesis.within)} {unit}".rstrip()
     elif hypothesis.below is not None:
         claim = f"; the claim is below {exact(hypothesis.below)} {unit}".rstrip()
+    bound = hypothesis.within if hypothesis.below is None else hypothesis.below
+    if bound is not None and 0 < bound < 1 and measure.proportions is not None:  # it may be meant as a fraction
+        claim += f" ({shown_level(bound)} would be {exact(100 * bound)})"
     return f"The {what} is estimated as {estimate}, with {level} confidence between {low} and {high}{claim}."
 
 
 def _reason(hypothesis: Hypothesis, measure: MeasureStatistics | None) -> str:
     if measure is None:
         return f"there is no measure {hypothesis.measure}."
+    missed = [each.why for each in measure.not_computed if repr(hypothesis.statement) in each.what]
+    if missed:
+        return missed[0]
     if measure.test is None:
         return measure.not_computed[0].why if measure.not_computed else "there is no test."
     if measure.test.method is TestMethod.PROPORTIONS and len(hypothesis.factors) > 1:
         return "interactions of proportions are not tested: compare the proportions of the combinations."
-    missed = [each.why for each in measure.not_computed if repr(hypothesis.statement) in each.what]
     nested = [
         f": {name} is tested within {each.within}"
         for name in hypothesis.factors
         for each in measure.test.effects
         if each.within and each.factors == (name,)
     ]
-    return missed[0] if missed else f"the test has no effect of {' x '.join(hypothesis.factors)}{''.join(nested[:1])}."
+    return f"the test has no effect of {' x '.join(hypothesis.factors)}{''.join(nested[:1])}."

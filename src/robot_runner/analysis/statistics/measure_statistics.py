@@ -161,6 +161,8 @@ def measure_statistics(
 
 def _no_numbers(told: Sequence[object]) -> str:
     """Return why values that are not all numbers cannot be analysed."""
+    if not told:
+        return "no run that is done has a value."
     texts = [str(each) for each in told if not isinstance(each, int | float) or not math.isfinite(each)]
     if texts and len(texts) == len(told) and all(map(_reads_as_number, told)):
         return f"its values are texts that read as numbers, such as {texts[0]!r}: publish them as numbers (float)."
