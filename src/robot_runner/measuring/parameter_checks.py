@@ -37,7 +37,8 @@ def check_kind(where: str, kind: type, /, **parameters: object) -> None:
     """
     for name, value in parameters.items():
         if not isinstance(value, kind):
-            choice = f"one of: {', '.join(map(str, kind))}" if issubclass(kind, Enum) else f"a {kind.__name__}"
+            named = "number" if kind is Real else kind.__name__
+            choice = f"one of: {', '.join(map(str, kind))}" if issubclass(kind, Enum) else f"a {named}"
             raise PluginError(f"{name} is {value!r}", where=where, fix=f"Give {name} {choice}.")
 
 

@@ -251,6 +251,7 @@ def test_what_is_installed_as_it_stands_is_not_kept_but_known_by_its_code(tmp_pa
 def test_a_file_beside_the_config_that_takes_the_place_of_another_module_is_warned_of(tmp_path: Path) -> None:
     """With a `numpy.py` the experiment ended in a fault of ours, and nothing named the file."""
     names = ["random.py", "numpy.py", "test.py", "config.py", "helper.py", "queue/__init__.py", "pytest/__init__.py"]
+    names += ["plot.numpy.py", "random.old.py", "random.old/__init__.py"]  # no import statement can name these
     for name in names:
         (tmp_path / name).parent.mkdir(exist_ok=True)
         (tmp_path / name).touch()

@@ -310,13 +310,17 @@ def test_what_a_plugin_says_of_itself_in_a_wrong_type_is_a_finding(
     assert "Meter" in finding.where
 
 
-@pytest.mark.parametrize(("named", "inputs"), [("'map.yaml'", ("map.yaml",)), ("5", ())], ids=["a path", "a number"])
+@pytest.mark.parametrize(
+    ("named", "inputs"),
+    [("['map.yaml']", ("map.yaml",)), ("'map.yaml'", ("map.yaml",)), ("[5]", ())],
+    ids=["in a list", "alone", "a number"],
+)
 def test_a_path_stands_for_the_input_file_and_what_is_none_is_left_out(
     write_config: Write, named: str, inputs: tuple[str, ...]
 ) -> None:
     head = (
         "from robot_runner import *\nfrom robot_runner.plugins import InputFile, Profiler\n\n\nclass Meter(Profiler):\n"
-        f"    def input_files(self): return [{named}]\n\n\n"
+        f"    def input_files(self): return {named}\n\n\n"
         "class RobotRunnerConfig(ExperimentConfig):\n    experiment_name = 'x'\n    plugins = [Meter()]\n"
     )
     experiment = prepare(write_config(head=head)).experiment

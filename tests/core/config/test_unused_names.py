@@ -186,3 +186,24 @@ class RobotRunnerConfig(ExperimentConfig):
 def test_a_parameter_may_be_annotated_without_a_value(write_config: Write) -> None:
     body = "time_between_runs_in_ms: int\nrobot: str | None\noperation_type: OperationType\nnotes: 5"
     assert not errors(write_config(body))
+
+
+def test_a_value_behind_a_colon_is_refused_in_the_config_class_and_its_bases_alone(write_config: Write) -> None:
+    head = """
+from __future__ import annotations
+from robot_runner import *
+class Profile:
+    plugins: [str]
+    robot: dict(kind="x")
+def helper():
+    robot: Robot("x")
+class Lab(ExperimentConfig):
+    attempts: 3
+class RobotRunnerConfig(Lab):
+    experiment_name = "trial"
+    class Motor:
+        notify: [str]
+"""
+    assert errors(write_config("def start_run(self):\n        robot: Robot('x')", head=head)) == [
+        ("10", "attempts: the colon makes it an annotation, which gives no value", "Write attempts = 3.")
+    ]

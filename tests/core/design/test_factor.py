@@ -14,6 +14,7 @@ import pytest
 from robot_runner.core.design.factor import Combination, Factor
 from robot_runner.core.design.revision import Revision
 from robot_runner.core.errors import DesignError
+from robot_runner.plugins.profilers import CodeCarbon, PsUtil
 
 
 def test_revisions_are_the_same_by_repository_name_and_build_alone() -> None:
@@ -189,6 +190,17 @@ def test_an_object_that_shows_its_address_is_refused_and_told_how_to_show_itself
     assert "shows a memory address, so it could not be recognised when resuming" in finding
     assert finding.endswith("→ Give its class a __str__ (Nameless).")
     assert Factor("Task", ["at 0x1f, and not an object at 0x1f"]).texts  # a text may say what it likes
+
+
+@pytest.mark.parametrize("treatments", [[PsUtil(name="a"), 1], [[PsUtil()], [PsUtil(), CodeCarbon(country="NLD")]]])
+def test_a_plugin_as_treatment_is_refused_as_its_text_does_not_show_its_parameters(treatments: list[object]) -> None:
+    """A run with `PsUtil(rate_hz=1)` was taken for one with another rate when it was resumed."""
+    for finding in findings_of("M", treatments):
+        assert "(...)" in finding
+        assert "does not show its parameters, so it could not be recognised when resuming" in finding
+        assert finding.endswith("→ Bind a parameter of the plugin by treatment('M'), or give its class a __str__.")
+    assert findings_of("M", treatments)
+    assert Factor("Task", ["PsUtil(...)"]).texts  # a text may say what it likes
 
 
 def test_of_a_function_as_treatment_it_is_said_what_to_give_in_its_place() -> None:

@@ -75,6 +75,15 @@ def test_a_session_took_as_long_however_the_clock_was_set_meanwhile() -> None:
     assert [session.seconds for session in history.sessions] == [5.0]
 
 
+def test_a_value_that_is_corrected_by_hand_after_a_killed_session_is_no_part_of_it() -> None:
+    history = ExperimentHistory()
+    history.take({"kind": "experiment_started", "at": "2026-01-31T12:00:00.000Z"})
+    history.take({**ended("r_1"), "left": {"run": 90.0, "others": 0.0, "is_least": False}})
+    history.take({**ended("r_1"), "at": "2026-02-07T09:00:00.000Z", "is_amended": True})
+    assert [session.seconds for session in history.sessions] == [1.0]
+    assert history.left is not None
+
+
 def test_the_time_left_is_that_of_the_last_record_however_the_clock_was_set_since(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

@@ -350,6 +350,13 @@ def before_run(self, context):
     assert len(executed.journal("stop_requested")) == 1
 
 
+def test_an_error_in_evaluated_code_fails_its_run_and_no_more(execute: Execute) -> None:
+    executed = execute("def before_run(self, context):\n    if context.run_number == 1: eval('1/0', {})")
+    (failure,) = executed.finished.failures
+    assert failure == "r_1: before_run of config: ZeroDivisionError: division by zero (config.py:10)"
+    assert executed.finished.done_count == 3
+
+
 def test_an_error_whose_text_ends_the_program_fails_its_run_and_no_more(execute: Execute) -> None:
     odd = "type('Odd', (Exception,), {'__str__': lambda self: exit(3)})()"
     executed = execute(f"def before_run(self, context):\n    if context.run_number == 1: raise {odd}")

@@ -6,6 +6,7 @@ import math
 import subprocess
 import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing, contextmanager
 from dataclasses import replace
 from functools import partial
@@ -187,6 +188,30 @@ def test_no_robot_drives_on_while_another_one_that_the_run_commanded_too_does_no
         with after_death(experiment, *commanded, care=Care.OUT_OF_REACH) as problem:
             assert "nothing answers there" in problem
         assert len(told.read_text(encoding="utf-8").splitlines()) > 2, "again and again"
+
+
+@pytest.mark.filterwarnings("ignore:.*multi-threaded:DeprecationWarning")
+def test_robots_on_two_graphs_are_told_to_stand_still_also_where_no_thread_may_be_had_any_more(
+    write_config: Callable[..., Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    experiment = prepare_or_refuse(write_config("", head=HEAD, table=TABLE))
+    told = (folder := experiment.config_path.parent) / "told"
+
+    def refused(*_: Any) -> None:
+        raise RuntimeError("can't start new thread")
+
+    monkeypatch.setattr(Told, "close", lambda _: None, raising=False)
+    bob = SimpleNamespace(open_robot=lambda _, **__: Told(folder))
+    monkeypatch.setattr(standby_module, "resolved_robot", lambda _: (bob, SimpleNamespace(namespace="")))
+    monkeypatch.setattr(standby_module, "connect_robot", lambda _: Told(folder))
+    monkeypatch.setattr(standby_module, "RETRYING", 0.0)
+    monkeypatch.setattr(commanded_topics, "_TELLING", 0.2)
+    monkeypatch.setattr(ThreadPoolExecutor, "submit", refused)
+    both = ("/alice/cmd_vel", "geometry_msgs/Twist"), ("/bob/cmd_vel", "geometry_msgs/Twist", "rosbridge://bob")
+    with after_death(experiment, *both):
+        commanded = told.read_text(encoding="utf-8")
+    assert "/alice/cmd_vel" in commanded
+    assert "/bob/cmd_vel" in commanded
 
 
 def test_a_robot_that_has_not_answered_is_not_waited_for_again_for_each_system(monkeypatch: pytest.MonkeyPatch) -> None:

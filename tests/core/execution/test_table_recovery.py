@@ -435,16 +435,17 @@ def test_a_missing_text_that_another_program_wrote_as_na_is_no_change(execute: E
     assert (text_of(executed.folder / "run_table.csv"), executed.journal("deviation")) == (before, [])
 
 
-def test_a_text_in_a_column_of_numbers_is_refused_also_where_the_file_counts(execute: Execute) -> None:
+@pytest.mark.parametrize("entered", ["eleven", "True"])
+def test_what_is_no_number_among_numbers_is_refused_also_where_the_file_counts(execute: Execute, entered: str) -> None:
     executed = execute(COUNTING)
-    edited(executed, "Video,1,11", "Video,1,eleven")
+    edited(executed, "Video,1,11", f"Video,1,{entered}")
     with pytest.raises(ExecutionError) as refused:
         resume(executed, table=TableChoice.FILE)
     (finding,) = refused.value.findings
     assert finding.where.endswith("run_table.csv, run r_1, column 'Energy'")
-    assert finding.problem == "'eleven' is not an integer, as the column's other values"
+    assert finding.problem == f"'{entered}' is not an integer, as the column's other values"
     assert executed.journal("deviation") == []
-    edited(executed, "Video,1,eleven", "Video,1,NaN")
+    edited(executed, f"Video,1,{entered}", "Video,1,NaN")
     resume(executed, table=TableChoice.FILE)
     assert executed.table[0]["Energy"] == ""
 

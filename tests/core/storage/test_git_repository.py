@@ -44,6 +44,11 @@ def test_a_repository_that_git_cannot_read_is_told(
     told = refused_repository(tmp_path)
     assert told is not None
     assert "not a git repository" in told.problem
+    assert told.fix == f"Mount or clone all of it, or remove {tmp_path}/.git."
+    (tmp_path / ".git").write_text("no gitdir\n")
+    told = refused_repository(tmp_path)
+    assert told is not None
+    assert told.fix == f"Mount or clone all of it, or remove {tmp_path}/.git."
     monkeypatch.setenv("PATH", "/nowhere")
     told = refused_repository(repository)
     assert told is not None
@@ -53,6 +58,28 @@ def test_a_repository_that_git_cannot_read_is_told(
     )
     (tmp_path / ".git").unlink()
     assert refused_repository(tmp_path) is None
+
+
+@pytest.mark.parametrize(
+    ("told_by_git", "is_readable", "fix"),
+    [
+        ("fatal: unable to access '.git/config': Permission denied", True, "Make all of the repository readable."),
+        # So git says, too, of one that it may not look into (git 2.39.5).
+        ("fatal: not a git repository: .git", False, "Make all of the repository readable."),
+        ("fatal: bad config line 1 in file .git/config", True, ""),
+    ],
+)
+def test_the_fix_of_a_repository_that_git_cannot_read_is_that_of_its_cause(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, told_by_git: str, *, is_readable: bool, fix: str
+) -> None:
+    """The superuser, whom nothing is refused, executes this test, too: so git and the system are scripted."""
+    answer = subprocess.CompletedProcess([], 128, b"", told_by_git.encode())
+    (tmp_path / ".git").mkdir()
+    monkeypatch.setattr("robot_runner.core.storage.git_repository.git", lambda *_, **__: answer)
+    monkeypatch.setattr("os.access", lambda *_: is_readable)
+    told = refused_repository(tmp_path)
+    assert told is not None
+    assert (told.problem.rpartition("recorded: ")[2], told.fix) == (told_by_git, fix)
 
 
 @pytest.mark.parametrize(

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+import os
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
@@ -170,10 +171,10 @@ def named_inputs(
 ) -> tuple[InputFile, ...]:
     """Return the input files that plugins, robots and the config (by a method `input_files`) name, each once.
 
-    A path, or its text, stands for the input file. One whose method raises is logged and left out.
+    One whose method raises is logged and left out.
     """
     found: dict[InputFile, None] = {}
-    asked: list[tuple[str, Callable[[], Iterable[InputFile]]]] = [
+    asked: list[tuple[str, Callable[[], Any]]] = [
         *((robot, partial(robot_input_files, robot)) for robot in parameters.links),
         *((f"plugin {plugin.name}", partial(_of_plugin, plugin, model)) for plugin in plugins),
     ]
@@ -181,7 +182,7 @@ def named_inputs(
         asked.append(("the config", own))
     for where, ask in asked:
         try:
-            found |= dict.fromkeys(each if isinstance(each, InputFile) else InputFile(each) for each in ask())
+            found |= dict.fromkeys(_inputs(ask()))
         except (Exception, SystemExit) as error:  # noqa: BLE001 - a stranger's code; an experiment is worth more than a copy
             _log.warning("%s: which files it reads is not known: %s", where, error)
     return tuple(found)
@@ -189,4 +190,10 @@ def named_inputs(
 
 def _of_plugin(plugin: Plugin, model: RunTableModel | None) -> Iterator[InputFile]:
     for built in with_each_treatment(plugin, model):
-        yield from built.input_files()
+        yield from _inputs(built.input_files())
+
+
+def _inputs(named: Any) -> Iterator[InputFile]:
+    """Yield the input files that a method has named: a path, or its text, stands for one, and one for a list."""
+    for each in (named,) if isinstance(named, str | os.PathLike | InputFile) else named:
+        yield each if isinstance(each, InputFile) else InputFile(Path(each))

@@ -188,9 +188,11 @@ def check_neighbours(folder: Path) -> list[Finding]:
     places = {*folder.glob("*.py"), *(each.parent for each in folder.glob("*/__init__.py"))}
     found = []
     for place in sorted(places - {folder / "test.py", folder / "test"}):  # only Python's own tests import that one
-        kind = "Python's own" if place.stem in sys.stdlib_module_names else "the installed"
-        if kind == "Python's own" or (place.suffix == ".py" and PathFinder.find_spec(place.stem, installed)):
-            problem = f"the file is called like {kind} module {place.stem!r}, and is imported in its place"
+        name = place.name.removesuffix(".py")
+        kind = "Python's own" if name in sys.stdlib_module_names else "the installed"
+        is_importable = place.suffix == ".py" and name.isidentifier()  # of `plot.numpy` the finder looks for `numpy`
+        if kind == "Python's own" or (is_importable and PathFinder.find_spec(name, installed)):
+            problem = f"the file is called like {kind} module {name!r}, and is imported in its place"
             found.append(Finding.warning(str(place), problem, f"Give it another name: my_{place.name}."))
     return found
 

@@ -90,6 +90,9 @@ _OURS = "robot_runner"
 #: The modules from which configs import; they are imported only after an import from the wrong one has failed.
 _DOORS = tuple(f"robot_runner{each}" for each in ("", ".plugins", ".plugins.profilers", ".plugins.systems", ".designs",
                                                   ".adaptive", ".analysis"))  # fmt: skip
+#: Python's modules of names that configs forget to import, and the usual short names of packages.
+_STANDARD = ("collections.abc", "typing", "pathlib", "dataclasses", "enum")
+_SHORT = {"np": "numpy", "pd": "pandas", "plt": "matplotlib.pyplot"}
 
 
 def fix_of_missing(config: Path, package: str) -> str:
@@ -144,7 +147,12 @@ def fix_of_undefined(name: str, known: Iterable[str]) -> str:
         return f"Import it: from {home} import {name}"
     if name in sys.stdlib_module_names:
         return f"Import it: import {name}"
-    return did_you_mean(name, [*known, *dir(builtins)], "Define it, import it, or correct the name.")
+    if name in _SHORT:
+        return f"Import it: import {_SHORT[name]} as {name}"
+    if home := next((each for each in _STANDARD if name in importlib.import_module(each).__all__), None):
+        return f"Import it: from {home} import {name}"
+    slip = nearest(name, [each for each in dir(builtins) if each[0].casefold() == name[0].casefold()], 0.8)
+    return did_you_mean(name, [*known, *filter(None, [slip])], "Define it, import it, or correct the name.")
 
 
 def _home_of(name: str) -> str | None:

@@ -135,9 +135,11 @@ def _functions_of_no_class(node: ast.AST, *, is_in_class: bool = False) -> Itera
         yield from _functions_of_no_class(each, is_in_class=isinstance(each, ast.ClassDef) if is_scope else is_in_class)
 
 
-def _valueless(loaded: LoadedConfig, tree: ast.AST) -> Iterator[Finding]:
-    """Yield an error for each parameter with a value in the place of its annotation."""
-    for node in ast.walk(tree):
+def _valueless(loaded: LoadedConfig, tree: ast.Module) -> Iterator[Finding]:
+    """Yield an error for each parameter with a value in the place of its annotation, in the config class or a base."""
+    names = {each.__name__ for each in type(loaded.config).__mro__}
+    classes = [each for each in tree.body if isinstance(each, ast.ClassDef) and each.name in names]
+    for node in (line for each in classes for line in each.body):
         match node:
             case ast.AnnAssign(target=ast.Name(id=name), annotation=value, value=None) if name in _LIVE:
                 if _is_no_type(value) and name not in vars(loaded.config):

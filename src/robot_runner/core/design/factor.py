@@ -23,6 +23,7 @@ from robot_runner.core.words import INACTIVE
 # shortest text that is read back as the same number.
 
 _ADDRESS = re.compile(r" at 0x[0-9A-Fa-f]+")
+_PLUGIN = re.compile(r"\w\(\.\.\.\)")  # as a plugin shows itself, also in a list
 
 
 def treatments_are_equal(one: Any, other: Any) -> bool:
@@ -67,6 +68,10 @@ def _text_or_finding(where: str, treatment: Any) -> str | Finding:
         is_function = isinstance(treatment, FunctionType | MethodType | partial)
         fix = "Give a text in its place, by which a callback finds the function." if is_function else ""
         return Finding.error(where, problem, fix or f"Give its class a __str__ ({kind}).")
+    if not isinstance(treatment, str) and _PLUGIN.search(text):
+        problem = f"treatment {text} does not show its parameters, so it could not be recognised when resuming"
+        fix = f"Bind a parameter of the plugin by treatment({where.partition(' ')[2]}), or give its class a __str__."
+        return Finding.error(where, problem, fix)
     if isinstance(treatment, set | frozenset) and len(treatment) > 1:
         problem = f"treatment {text} is a set: its elements are written in another order by each process"
         return Finding.error(where, problem, "Give a tuple or a sorted list.")

@@ -30,6 +30,11 @@ _BETWEEN_SESSIONS = EXCLUSION_KINDS | {EXTENDED, PREPARED}
 _ENDING_SESSIONS = frozenset({"before_experiment", "continue", "after_experiment"})
 
 
+def _is_by_hand(record: Mapping[str, Any]) -> bool:
+    """Return whether a record ends an attempt once more as its measures were changed by hand, before a session."""
+    return bool(record.get("is_amended")) and "left" not in record
+
+
 @dataclass(frozen=True, slots=True)
 class Session:
     """One execution of the experiment, from its start to its end.
@@ -124,7 +129,8 @@ class ExperimentHistory:
 
     def take(self, record: Mapping[str, Any]) -> None:
         """Take a record of the journal into account, the oldest first."""
-        if self.sessions and not self.sessions[-1].is_whole and record["kind"] not in _BETWEEN_SESSIONS:
+        is_between = record["kind"] in _BETWEEN_SESSIONS or _is_by_hand(record)
+        if self.sessions and not self.sessions[-1].is_whole and not is_between:
             self.sessions[-1] = replace(self.sessions[-1], ended_at=record.get("at", self.sessions[-1].ended_at))
         self.exclusions.take(record)
         take = getattr(self, f"_take_{record['kind']}", None)
@@ -300,7 +306,8 @@ class ExperimentHistory:
         self._published[record["run"]] = self._publications.setdefault(names := tuple(told), names)
         self._in_flight.pop(record["run"], None)
         self._steps.expect_after(record)
-        self._take_left(record)
+        if not _is_by_hand(record):
+            self._take_left(record)
 
     def _take_operator_step(self, record: Mapping[str, Any]) -> None:
         if record.get("is_after"):

@@ -370,6 +370,10 @@ class OngoingExperiment:
         self.notify(FindingsNoticed((finding,)))
 
 
+def _is_of_config(frame: FrameType) -> bool:
+    return bool(frame.f_globals.get("__name__") == CONFIG_MODULE)  # `eval` may have globals without a name
+
+
 def _fields(failure: CallbackFailure) -> dict[str, str]:
     """Return the fields of a failure; its problem names the line of the config, as no log has this traceback."""
     fields, error = failure_fields(failure.error), failure.error
@@ -377,7 +381,7 @@ def _fields(failure: CallbackFailure) -> dict[str, str]:
         return {**fields, "problem": str(error)}
     if isinstance(error, RobotRunnerError | RunInterrupted):  # its text says all
         return fields
-    frames = [each for each in traceback.walk_tb(error.__traceback__) if each[0].f_globals["__name__"] == CONFIG_MODULE]
+    frames = [each for each in traceback.walk_tb(error.__traceback__) if _is_of_config(each[0])]
     for frame, line in frames[-1:]:
         fields["problem"] += f" ({Path(frame.f_code.co_filename).name}:{line})"
     return fields

@@ -278,6 +278,14 @@ class Standby:
         return [*gone, *connection.warnings]
 
 
+def _begun(threads: ThreadPoolExecutor, act: Callable[[], _T]) -> Callable[[], _T]:
+    """Begin something in a thread, and return what waits for it; where no thread may be had any more, what does it."""
+    try:
+        return threads.submit(act).result
+    except RuntimeError:
+        return act
+
+
 def _command_zero(link: RobotLink, topics: Sequence[Commanded]) -> None:
     """Publish a zero velocity on each topic, also after one has failed."""
     with ExitStack() as each_of_them:
@@ -324,11 +332,18 @@ class _Connection:
         by_graph: dict[str, list[Commanded]] = {}
         for each in commanded:
             by_graph.setdefault("" if self._is_of_run(each.graph) else each.graph, []).append(each)
-        graphs = list(by_graph.items())
-        with ThreadPoolExecutor(len(graphs) + 1) as threads:
-            others = [threads.submit(self._act_at, graph, act, of) for graph, of in graphs[1:]]
-            done = [self._act_at(graph, act, of) for graph, of in graphs[:1]]  # here: no thread may be had any more
-        return [*done, *(each.result() for each in others)]
+        acts = [partial(self._act_at, graph, act, of) for graph, of in by_graph.items()]
+        done, faults = list[_T](), list[Exception]()
+        with ThreadPoolExecutor(len(acts) + 1) as threads:
+            begun: list[Callable[[], _T]] = [*acts[:1], *(_begun(threads, each) for each in acts[1:])]
+            for finish in begun:
+                try:
+                    done.append(finish())
+                except Exception as error:  # noqa: BLE001 - raised once all are done
+                    faults.append(error)
+        if faults:
+            raise faults[0]
+        return done
 
     def _act_at(self, graph: str, act: Callable[[RobotLink, Sequence[Commanded]], _T], of: Sequence[Commanded]) -> _T:
         return act(self._link(graph), of)

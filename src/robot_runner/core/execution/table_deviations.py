@@ -18,7 +18,7 @@ from robot_runner.core.storage.cells import ENDS, CellValue, RunStatus, csv_text
 from robot_runner.core.storage.executed_runs import ROW, ExcludedRuns
 from robot_runner.core.storage.run_table_reading import run_table_in
 from robot_runner.core.storage.run_table_rows import RunTableRows
-from robot_runner.core.storage.table_decoders import MISSING, TYPE_WORDS
+from robot_runner.core.storage.table_decoders import MISSING, TYPE_WORDS, is_unfit
 from robot_runner.core.words import counted, enumerated, listed
 
 #: The `column` of a deviation that is a changed order of rows.
@@ -153,12 +153,12 @@ def with_changes(
 
 
 def unfit_values(path: Path, rows: RunTableRows, found: Iterable[Deviation]) -> Iterator[Finding]:
-    """Yield an error for each changed measure whose column has numbers or truth values, and that has become a text."""
+    """Yield an error for each changed measure that is not of the type of its column: numbers, or truth values."""
     fix = "Correct the cell, or leave it empty where there is no value."
     measured = (each for each in found if each.column in rows.layout.measures)
     for each in measured:
         kind, place = rows.layout.types.get(each.column), rows.place_of(each.run)
-        if kind in TYPE_WORDS and place is not None and isinstance(rows.row(place)[each.column], str):
+        if kind is not None and place is not None and is_unfit(rows.row(place)[each.column], kind):
             problem = f"{each.is_now!r} is not {TYPE_WORDS[kind]}, as the column's other values"
             yield Finding.error(f"{path}, run {each.run}, column {each.column!r}", problem, fix)
 

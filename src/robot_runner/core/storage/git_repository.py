@@ -117,9 +117,17 @@ def refused_repository(folder: Path) -> Finding | None:
         if answer.returncode == 0:
             return None
         problem, _, _ = answer.stderr.decode(errors="replace").strip().partition("\n")
-        advised = ADVISED.search(answer.stderr)
-        fix = f"Execute: {advised[0].decode(errors='replace')}" if advised else "Make all of the repository readable."
+        fix = _fix_of(root / ".git", problem, ADVISED.search(answer.stderr))
     return Finding.warning(str(root), f"the commit of the config cannot be recorded: {problem}", fix)
+
+
+def _fix_of(place: Path, problem: str, advised: re.Match[bytes] | None) -> str:
+    if advised:
+        return f"Execute: {advised[0].decode(errors='replace')}"
+    if "Permission denied" in problem or not os.access(place, os.R_OK):  # git takes the latter for no repository
+        return "Make all of the repository readable."
+    is_none = "not a git repository" in problem or "invalid gitfile" in problem
+    return f"Mount or clone all of it, or remove {place}." if is_none else ""
 
 
 def without_login(url: str) -> str:

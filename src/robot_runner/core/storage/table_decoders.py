@@ -101,6 +101,11 @@ MISSING = frozenset({"NA", "NaN", "nan"})
 TYPE_WORDS = {"number": "a number", "integer": "an integer", "boolean": "a boolean"}
 
 
+def is_unfit(value: CellValue, kind: str | None) -> bool:
+    """Return whether a value is of another type than those of a column; a missing one fits everywhere."""
+    return value is not None and kind in _TYPES and type(value) not in _TYPES[kind]
+
+
 class RowChunk:
     """Some rows of a file, with the lines on which they begin (computed only for findings)."""
 
@@ -337,7 +342,7 @@ class MeasureDecoder:
         if fitting is None or {*map(type, values)} <= {*fitting, type(None)}:
             return values
         for place, value in enumerate(values):
-            if value is not None and type(value) not in fitting:
+            if is_unfit(value, self._kind):
                 problem = f"{cells[place]!r} is not {TYPE_WORDS[str(self._kind)]}, as the column's other values"
                 fix = "Correct the cell, or leave it empty where there is no value."
                 self._findings.warning(problem, fix, line=chunk.lines[place], column=self._name)
