@@ -15,7 +15,17 @@ def names_of_tests_in(*folders: str) -> set[str]:
 
 
 def test_every_test_that_the_table_names_exists() -> None:
-    folders = ("process", "cli", "core/execution", "core/config", "core/links", "subjects", "cluster", "ros")
+    folders = (
+        "process",
+        "cli",
+        "core/execution",
+        "core/config",
+        "core/links",
+        "subjects",
+        "cluster",
+        "ros",
+        "analysis",
+    )
     assert NAMED - names_of_tests_in(*folders) == set()
 
 

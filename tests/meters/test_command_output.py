@@ -169,7 +169,7 @@ def test_the_unit_of_times_is_how_many_seconds_it_has_and_not_its_name() -> None
         (lambda: TimeColumn(0), "source is 0 .* Give source a str"),
         (lambda: CommandColumn("W", "Power"), "measure is 'Power' .* Give measure a Measure"),
         (lambda: CommandColumn("W", Measure("Power", "W"), "mean"), "aggregate is 'mean' .* one of: Aggregate.MEAN, "),
-        (lambda: CommandColumn("W", Measure("Power", "W"), factor="0.001"), "factor is '0.001'"),
+        (lambda: CommandColumn("W", Measure("Power", "W"), factor="0.001"), "factor is '0.001' .* factor a number"),
     ],
     ids=["kind", "heading", "measure", "aggregate", "factor"],
 )

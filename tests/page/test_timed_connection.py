@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import socket
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -28,15 +29,26 @@ class Task:
         """Call nothing."""
 
 
+class Timer:
+    """What is to be called later, unless it is cancelled."""
+
+    def __init__(self, act: Callable[[], None]) -> None:
+        self.act = act
+
+    def cancel(self) -> None:
+        self.act = lambda: None
+
+
 class Loop:
     """Keeps what is to be called later, and the tasks that answer, of which none ever ends."""
 
     def __init__(self) -> None:
-        self.later: list[Callable[[], None]] = []
+        self.later: list[Timer] = []
 
-    def call_later(self, seconds: float, act: Callable[..., None], *values: object) -> None:
+    def call_later(self, seconds: float, act: Callable[..., None], *values: object) -> Timer:
         assert seconds == 20
-        self.later.append(lambda: act(*values))
+        self.later.append(Timer(lambda: act(*values)))
+        return self.later[-1]
 
     def create_task(self, task: Coroutine[Any, Any, None], **_: object) -> Any:
         task.close()
@@ -44,24 +56,24 @@ class Loop:
 
     def pass_time(self) -> None:
         due, self.later = self.later, []
-        for act in due:
-            act()
+        for timer in due:
+            timer.act()
 
 
 class Transport(asyncio.Transport):
     """Of nobody."""
 
-    is_aborted = False
+    is_closed = False
 
     def get_extra_info(self, name: str, default: Any = None) -> Any:
         del name
         return default
 
     def is_closing(self) -> bool:
-        return self.is_aborted
+        return self.is_closed
 
-    def abort(self) -> None:
-        self.is_aborted = True
+    def close(self) -> None:
+        self.is_closed = True
 
 
 async def _app(scope: object, receive: object, send: object) -> None:
@@ -86,4 +98,49 @@ def test_who_never_completes_a_request_is_hung_up_on(arrived: list[bytes], is_cl
         if data:
             connection.data_received(data)
         loop.pass_time()
-    assert transport.is_aborted is is_closed
+    assert transport.is_closed is is_closed
+
+
+LENGTH = 8_000_000  # more than the system holds for a reader that pauses
+
+
+class AnsweringLoop(Loop):
+    """One whose tasks are executed, by the loop of the test."""
+
+    def create_task(self, task: Coroutine[Any, Any, None], **settings: Any) -> Any:
+        return asyncio.get_running_loop().create_task(task, **settings)
+
+
+async def _send_body(scope: object, receive: object, send: Any) -> None:
+    headers = [(b"content-length", b"%d" % LENGTH)]
+    await send({"type": "http.response.start", "status": 200, "headers": headers})
+    await send({"type": "http.response.body", "body": bytes(LENGTH)})
+
+
+async def _received_after_a_pause(behind: bytes) -> int:
+    """Return how much is received of a response by who asks, sends what is `behind`, and pauses before reading."""
+    loop, later = asyncio.get_running_loop(), AnsweringLoop()
+    config = uvicorn.Config(_send_body, log_config=None, timeout_keep_alive=20, interface="asgi3", ws="none")
+    ours, theirs = socket.socketpair()
+    theirs.setblocking(False)
+    with theirs:
+        _, connection = await loop.connect_accepted_socket(
+            lambda: TimedConnection(config, ServerState(), {}, _loop=later),  # type: ignore[arg-type]
+            ours,
+        )
+        connection.data_received(WHOLE)
+        await asyncio.gather(*connection.tasks)
+        if behind:
+            connection.data_received(behind)
+        for _ in range(4):
+            later.pass_time()
+        received = 0
+        while data := await loop.sock_recv(theirs, 1 << 20):
+            received += len(data)
+    return received
+
+
+@pytest.mark.parametrize("behind", [b"", WHOLE[:9]])
+def test_who_pauses_while_reading_gets_the_whole_response(behind: bytes) -> None:
+    """Of 8 MB, 2.8 MB arrived: what was not sent yet was thrown away."""
+    assert asyncio.run(_received_after_a_pause(behind)) > LENGTH

@@ -145,6 +145,24 @@ def test_a_named_pipe_in_the_place_of_a_file_is_refused(tmp_path):
             RecordedBag(named)
 
 
+@pytest.mark.parametrize("name", ["metadata.yaml", "hall.mcap"])
+def test_a_named_pipe_in_the_only_bag_of_a_folder_is_refused(tmp_path, name):
+    """It was awaited for ever."""
+    path = scans_of_ros2(tmp_path / "all" / "hall")
+    (path / name).unlink()
+    os.mkfifo(path / name)
+    with pytest.raises(PluginError, match=f"'{name}' is neither a file nor a folder") as refused:
+        RecordedBag(tmp_path / "all")
+    assert refused.value.where == str(path)
+
+
+def test_a_pointer_of_git_lfs_in_the_only_bag_of_a_folder_is_told(tmp_path):
+    path = scans_of_ros2(tmp_path / "all" / "hall")
+    (path / "hall.mcap").write_text("version https://git-lfs.github.com/spec/v1")
+    with pytest.raises(PluginError, match=r"'hall\.mcap' only points to a file of Git LFS"):
+        RecordedBag(tmp_path / "all")
+
+
 def test_a_definition_that_cannot_be_read_keeps_only_its_topic_away(tmp_path):
     # As rosbag2 writes services: the definition of both halves stands where that of the event is to be.
     bag = new_bag(tmp_path, Encoding.CDR)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import os
 import socket
 import struct
@@ -11,6 +12,7 @@ import xmlrpc.client
 from contextlib import ExitStack, contextmanager, suppress
 from http.server import BaseHTTPRequestHandler, HTTPServer
 from types import SimpleNamespace
+from xmlrpc.server import SimpleXMLRPCServer
 
 import pytest
 from tests.loopback_port import claim_port
@@ -64,6 +66,29 @@ def test_what_named_a_master_that_is_not_there_is_what_is_to_be_corrected(monkey
     assert "ROS_MASTER_URI" not in caught.value.fix
 
 
+class _Registry(SimpleXMLRPCServer):
+    """A master at which each node is registered with the same address, at which nobody listens."""
+
+    def __init__(self):
+        super().__init__(("127.0.0.1", 0), logRequests=False)
+        self.uri = f"http://127.0.0.1:{claim_port()}"
+        self.register_function(lambda _, node: (1, node, self.uri), "lookupNode")
+
+
+def test_of_a_node_that_is_gone_the_node_is_told_and_what_befell_it():
+    """It told of a master, and of a robot's name that nobody had written."""
+    with _Registry() as server:
+        thread = threading.Thread(target=server.handle_request)
+        thread.start()
+        with pytest.raises(LinkError) as caught:
+            Master(f"http://127.0.0.1:{server.server_address[1]}", timeout=PATIENCE).pid_of("/planner")
+        thread.join(PATIENCE)
+    assert caught.value.problem == f"the node /planner does not answer at {server.uri}"
+    assert caught.value.where == "/planner"
+    assert caught.value.fix.startswith("Restart /planner")
+    assert isinstance(caught.value.__cause__, ConnectionRefusedError), "of which the link learns that it is not there"
+
+
 def test_a_node_of_which_nobody_can_tell_serves_no_other_one():
     assert Master(f"http://127.0.0.1:{claim_port()}").is_serving("/planner", "/cmd_vel", "/robot") is False
 
@@ -89,6 +114,8 @@ def test_a_master_that_is_silent_is_given_up_at_the_deadline():
 
 
 class _Endless(BaseHTTPRequestHandler):
+    """Answers with a body that has no end."""
+
     def do_POST(self):
         self.send_response(200)
         self.end_headers()
@@ -100,9 +127,21 @@ class _Endless(BaseHTTPRequestHandler):
         pass
 
 
-def test_a_master_that_answers_without_end_is_given_up_at_the_deadline():
-    """It filled the memory: the deadline was that of each piece."""
-    with HTTPServer(("127.0.0.1", 0), _Endless) as server:
+class _EndlessHeader(_Endless):
+    """Answers with a header that goes on byte by byte; after 20 min, its length would be refused."""
+
+    def do_POST(self):
+        self.wfile.write(b"HTTP/1.1 200 OK\r\nServer: ")
+        with suppress(OSError):
+            while True:
+                self.wfile.write(b"x")
+                time.sleep(0.02)
+
+
+@pytest.mark.parametrize("endless", [_Endless, _EndlessHeader])
+def test_a_master_that_answers_without_end_is_given_up_at_the_deadline(endless):
+    """It filled the memory, or was awaited for ever: the deadline was that of each piece."""
+    with HTTPServer(("127.0.0.1", 0), endless) as server:
         thread = threading.Thread(target=server.handle_request)
         thread.start()
         with pytest.raises(LinkError, match=r"does not answer within 0\.1 s"):
@@ -227,6 +266,23 @@ class _OddHandler(_WebServer):
         self.send_header("Content-Length", str(len(self.server.body)))
         self.end_headers()
         self.wfile.write(self.server.body)
+
+
+class _Compressed(_OddHandler):
+    def end_headers(self):
+        self.send_header("Content-Encoding", "gzip")
+        super().end_headers()
+
+
+def test_an_answer_that_was_compressed_unasked_is_not_unpacked():
+    """A few bytes may become as many as fill the memory."""
+    with _Odd(1) as server:
+        server.RequestHandlerClass, server.body = _Compressed, gzip.compress(server.body)
+        thread = threading.Thread(target=server.handle_request)
+        thread.start()
+        with pytest.raises(LinkError, match="not a ROS master"):
+            Master(f"http://127.0.0.1:{server.server_port}", timeout=PATIENCE).pid()
+        thread.join(PATIENCE)
 
 
 @pytest.mark.parametrize("value", [2.5, "/x", [], [1], [["/a", 1]], [[["/a", [1]]], [], []], {"a": 1}])

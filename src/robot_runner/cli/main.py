@@ -111,6 +111,10 @@ def _width() -> int:
         return _UNLIMITED
 
 
+#: How similar a slip of the pen is to the option that was meant, of 1.
+_SLIP = 0.8
+
+
 def _command(words: list[str]) -> tuple[str, list[str]]:
     """Return the command and its words; a config file alone is executed.
 
@@ -122,12 +126,15 @@ def _command(words: list[str]) -> tuple[str, list[str]]:
     if first in commands:
         return first, words[1:]
     from robot_runner.cli.parser import UsageError, unknown_command, unknown_option  # noqa: PLC0415 - for a quick --help
+    from robot_runner.core.errors import nearest  # noqa: PLC0415 - as above
 
     if first.startswith("-"):
-        if any(each in commands or each.endswith(".py") for each in words[1:]):
+        own = ["--help", "--version"]
+        is_own = nearest(first, own, _SLIP) is not None  # `--json` resembles `--version`, too
+        if not is_own and any(each in commands or each.endswith(".py") for each in words[1:]):
             fix = "Put options behind the command or the config file."
             raise UsageError(f"{first!r} stands before what it is for", where="robot-runner", fix=fix)
-        raise unknown_option(first, ["--help", "--version"], where="robot-runner")
+        raise unknown_option(first, own, where="robot-runner")
     if first.endswith(".py") or "/" in first or os.path.exists(first):  # noqa: PTH110 - false of a name too long, too
         return "run", words
     raise unknown_command(first, commands)

@@ -83,7 +83,10 @@ class Parser(argparse.ArgumentParser):
                 problem = f"{unknown[0]!r} stands behind '--', where nothing is an option"
                 raise UsageError(problem, where=self.prog, fix="Leave '--' out, or put it behind all options.")
             raise unknown_option(unknown[0], options, where=self.prog)
-        is_value = bool(getattr(arguments, "set", None))
+        behind = zip(("", "", *words), ("", *words), words, strict=False)
+        is_value = any(
+            each == unknown[0] and (option == "--set" or pair.startswith("--set=")) for option, pair, each in behind
+        )
         fix = "Write --set name=value without blanks, or put it in quotes." if is_value else self._help_fix
         raise UsageError(f"{unknown[0]!r} is one word too many", where=self.prog, fix=fix)
 

@@ -26,8 +26,10 @@ class TimedConnection(H11Protocol):
 
     def _close_if_idle(self, before: Any) -> None:
         """Close it where no request has come since the last look, and none is being answered."""
+        if self.transport.is_closing():
+            return
         is_answering = before is not None and not before.more_body and not before.response_complete
         if self.cycle is before and not is_answering:
-            self.transport.abort()
-        elif not self.transport.is_closing():
+            self.transport.close()  # unlike `abort`, it sends the rest of a response to who reads slowly
+        else:
             self._look_later()

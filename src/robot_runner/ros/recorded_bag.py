@@ -262,7 +262,7 @@ def bag_at(path: Path) -> Path:
     parts = {each.suffix for each in found} in ({".mcap"}, {".db3"})
     found += sorted(each.parent for each in path.glob(f"*/{_METADATA}"))
     if len(found) == 1:
-        return found[0]
+        return bag_at(found[0])
     fix = f"Name one of them: {', '.join(each.name for each in found)}." if found else "Name the folder of a bag."
     if parts:
         fix += " Of the parts of one recording, make a bag: ros2 bag reindex."

@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from http.client import HTTPConnection, HTTPException, HTTPResponse
+from types import SimpleNamespace
 from typing import Any
 from urllib.parse import urlsplit
 from xml.parsers.expat import ExpatError
@@ -140,7 +141,12 @@ class Master:
             timeout: of the node's answer, s; None for that of the master.
         """
         uri = self.uri_of(node)
-        return None if uri is None else Master(uri, timeout=timeout or self._timeout).pid()
+        try:
+            return None if uri is None else Master(uri, timeout=timeout or self._timeout).pid()
+        except LinkError as error:
+            problem = f"the node {node} does not answer at {uri}"
+            fix = f"Restart {node}, with its ROS_IP set if its host's name is not known here."
+            raise LinkError(problem, where=node, fix=fix) from error.__cause__  # tells callers what befell it
 
     def uri_of(self, node: str) -> str | None:
         """Return the URI of a node, or None where there is no such node."""
@@ -260,28 +266,34 @@ class _Transport(xmlrpc.client.Transport):
 
     def parse_response(self, response: Any) -> Any:
         with closing(response):
-            timely: Any = _Timely(response, self._timeout)
-            return super().parse_response(timely)
+            body: Any = SimpleNamespace(read=response.read)  # by its headers, one compressed unasked would be unpacked
+            return super().parse_response(body)
 
 
-class _Timely:
-    """A response that has to end in time, however many pieces come."""
+class _Timely(socket.socket):
+    """A connected socket from which all has to be read in time, however many pieces come."""
 
-    def __init__(self, response: HTTPResponse, seconds: float) -> None:
-        self._response = response
+    def __init__(self, descriptor: int, seconds: float) -> None:
+        super().__init__(fileno=descriptor)
+        self.settimeout(seconds)  # to send
         self._until = time.monotonic() + seconds
 
-    def read(self, size: int) -> bytes:
-        if time.monotonic() > self._until:
+    def recv_into(self, *arguments: Any) -> int:
+        left = self._until - time.monotonic()
+        if left <= 0:
             raise TimeoutError
-        return self._response.read1(size)
+        self.settimeout(left)
+        return super().recv_into(*arguments)
 
 
 class _Connection(HTTPConnection):
     """A connection whose request is not delivered any more once it was given up, or this process was killed."""
 
+    timeout: float  # never without
+
     def connect(self) -> None:
         super().connect()
+        self.sock = _Timely(self.sock.detach(), self.timeout)
         drop_undelivered(self.sock)
 
     def getresponse(self) -> HTTPResponse:

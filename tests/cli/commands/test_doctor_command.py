@@ -14,7 +14,7 @@ from tests.linked_environment import make_linked_environment
 
 import robot_runner as robot_runner_package
 from robot_runner.cli.commands import doctor
-from robot_runner.cli.commands.doctor import ABSENT, BROKEN, READY, Question, asked, device_questions
+from robot_runner.cli.commands.doctor import ABSENT, BROKEN, READY, UNTRIED, Question, asked, device_questions
 from robot_runner.core.execution.systems_state import SystemsFile
 from robot_runner.core.links.kinds import installed_links
 from robot_runner.core.plugin import installed_plugins
@@ -62,10 +62,10 @@ def test_where_the_core_alone_is_installed_all_is_told_and_nothing_has_to_be_men
     assert (listed.returncode, listed.stderr) == (0, "")
 
 
-def test_a_meter_that_has_to_be_told_more_is_not_said_to_be_usable() -> None:
+def test_a_meter_that_has_to_be_told_more_is_said_to_be_neither_usable_nor_absent() -> None:
     wanted = [each for each in doctor.questions() if each.name in ("CodeCarbon", "TopicLatency", "PowerModel")]
     found = {each.name: each for each in asked(wanted)}
-    assert {name: each.state for name, each in found.items()} == dict.fromkeys(found, ABSENT)
+    assert {name: each.state for name, each in found.items()} == dict.fromkeys(found, UNTRIED)
     assert found["CodeCarbon"].detail == "has to be told country"
     assert found["CodeCarbon"].fix == "Try it: robot-runner try CodeCarbon --set country=..."
     assert found["TopicLatency"].detail == "has to be told cause"

@@ -50,12 +50,12 @@ from robot_runner.core.storage.claim_locks import claiming_folders
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.words import enumerated, one_line
 
-#: It can be used; it is not here, or has to be told something; it is here and cannot be used.
-READY, ABSENT, BROKEN = "ready", "absent", "broken"
+#: It can be used; it has to be told something before it can be asked; it is not here; it is here and cannot be used.
+READY, UNTRIED, ABSENT, BROKEN = "ready", "untried", "absent", "broken"
 #: All of it together, s: a driver that is well answers in a moment. And what is silent then, asked once more: on a
 #: machine that is busy, importing a client library takes as long.
 _DEADLINES_S = (20.0, 40.0)
-_MARKS = {READY: ("✓", "green"), ABSENT: ("○", "dim"), BROKEN: ("✗", "bold red")}
+_MARKS = {READY: ("✓", "green"), UNTRIED: ("○", "dim"), ABSENT: ("○", "dim"), BROKEN: ("✗", "bold red")}
 
 
 def add_arguments(parser: Parser) -> None:
@@ -96,7 +96,7 @@ class Diagnosis:
 
     Attributes:
         area: what kind of thing it is.
-        state: `ready`, `absent` or `broken`.
+        state: `ready`, `untried`, `absent` or `broken`.
         detail: what is, in words.
         fix: one imperative; empty where there is nothing to do.
     """
@@ -292,11 +292,11 @@ def _meter(installed: EntryPoint) -> tuple[str, str, str]:
     needed = needed_parameters(kind)
     if needed:  # it cannot be asked, so that it is not known whether its package is there
         told = " ".join(f"--set {name}=..." for name in needed)
-        return ABSENT, f"has to be told {enumerated(needed)}", f"Try it: robot-runner try {installed.name} {told}"
+        return UNTRIED, f"has to be told {enumerated(needed)}", f"Try it: robot-runner try {installed.name} {told}"
     try:
         plugin = kind(**({"host": "localhost"} if "host" in parameters else {}))
     except RobotRunnerError as error:  # it needs one parameter of several
-        return ABSENT, f"has to be told more: {error.problem}", error.fix
+        return UNTRIED, f"has to be told more: {error.problem}", error.fix
     for finding in plugin.check(Circumstances(robot=_REAL_ROBOT)):
         if finding.is_error:
             return ABSENT, finding.problem, finding.fix
