@@ -199,7 +199,7 @@ def broken(_: bytes) -> None:
     raise RuntimeError("unpack requires a buffer of 4 bytes")
 
 
-def test_an_answer_that_is_none_of_the_service_is_told():
+def test_a_response_that_is_not_valid_for_the_service_is_told():
     with socket.create_server(("127.0.0.1", 0)) as server:
 
         def answer():
@@ -214,7 +214,7 @@ def test_an_answer_that_is_none_of_the_service_is_told():
             _type="std_srvs/SetBool", _md5sum="*", _response_class=lambda: SimpleNamespace(deserialize=broken)
         )
         request = SimpleNamespace(serialize=lambda buffer: buffer.write(b"\x01"))
-        with pytest.raises(LinkError, match=r"none of std_srvs/SetBool: unpack requires") as told:
+        with pytest.raises(LinkError, match=r"not valid for std_srvs/SetBool: unpack requires") as told:
             call_service("/lamp", f"rosrpc://127.0.0.1:{server.getsockname()[1]}", kind, request, timeout=PATIENCE)
         answering.join(PATIENCE)
     assert told.value.where == "/lamp"

@@ -30,6 +30,6 @@ class TimedConnection(H11Protocol):
             return
         is_answering = before is not None and not before.more_body and not before.response_complete
         if self.cycle is before and not is_answering:
-            self.transport.close()  # unlike `abort`, it sends the rest of a response to who reads slowly
+            self.transport.close()  # unlike `abort`, it sends the rest of a response to a slow reader
         else:
             self._look_later()

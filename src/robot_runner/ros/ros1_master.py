@@ -195,19 +195,19 @@ class Master:
             raise LinkError(
                 f"the ROS master refuses {method}: {status}", where=self.uri, fix="Look at the master's log."
             )
-        with self._told_as_none():
+        with self._as_link_error():
             return shape(value)
 
     def _found(self, method: str, name: str) -> str | None:
         code, _, uri = self._answer(method, name)
-        with self._told_as_none():
+        with self._as_link_error():
             return _texts([uri])[0] if code == _SUCCESS else None
 
     def _answer(self, method: str, *arguments: Any, caller: str = _CALLER) -> tuple[int, str, Any]:
         transport = _Transport(self._timeout)
         try:
             with (
-                self._told_as_none(),
+                self._as_link_error(),
                 xmlrpc.client.ServerProxy(self.uri, transport=transport, use_builtin_types=True) as server,
             ):
                 code, status, value = getattr(server, method)(caller, *arguments)
@@ -226,7 +226,8 @@ class Master:
         return code, status, value
 
     @contextmanager
-    def _told_as_none(self) -> Iterator[None]:
+    def _as_link_error(self) -> Iterator[None]:
+        """Turn what an answer of another shape raises into the error that no master answers."""
         try:
             yield
         except UnicodeError:  # of the host's name

@@ -88,7 +88,7 @@ def call_service(name: str, uri: str, cls: Any, request: Any, *, timeout: float)
     try:
         return cls._response_class().deserialize(answer)
     except Exception as error:  # genpy's own
-        problem = f"the service answers with what is none of {cls._type}: {error}"
+        problem = f"the response is not valid for {cls._type}: {error}"
         raise LinkError(problem, where=name, fix="Look at the log of its node.") from error
 
 

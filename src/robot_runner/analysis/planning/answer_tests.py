@@ -17,8 +17,8 @@ from robot_runner.analysis.statistics.analysed_design import MeasureData
 from robot_runner.analysis.statistics.families import Key, contrast_key, effect_key
 from robot_runner.analysis.statistics.proportion_contrasts import (
     compared_weights,
+    independent_p_value,
     most_runs,
-    p_value_apart,
     p_value_of,
     shares_of,
 )
@@ -81,14 +81,14 @@ class ExactTests:
             found[contrast_key(hypothesis.statement)] = np.where(is_known, p_values, np.nan)
         return found
 
-    def apart(self, percent: Floats, hypothesis: Hypothesis) -> Floats | None:
-        """Return the p-value of a bound in each experiment, as if all runs stood by themselves; None if it has none."""
+    def independent(self, percent: Floats, hypothesis: Hypothesis) -> Floats | None:
+        """Return the p-value of a bound in each experiment, as if all runs were independent; None if it has none."""
         weights = compared_weights(self.data, hypothesis)
         if isinstance(weights, NotComputed) or not hypothesis.has_bound:
             return None
         of, answers = list(weights.values()), (percent > _HALF).astype(np.float64)
         return self._of_each(
-            hypothesis.factors[0], list(weights), answers, lambda table: p_value_apart(table, of, hypothesis)[0]
+            hypothesis.factors[0], list(weights), answers, lambda table: independent_p_value(table, of, hypothesis)[0]
         )
 
     def _of_each(

@@ -272,12 +272,12 @@ class Simulation:
     def _of_shares(
         self, found: dict[Key, Floats], data: MeasureData, values: Floats, alike: NDArray[np.bool_]
     ) -> dict[Key, Floats]:
-        """Return the p-values, those of bounds no surer than apart; exact ones where all blocks respond alike."""
+        """Return the p-values: of bounds the larger ones, and exact ones where all blocks respond alike."""
         exact, hypotheses = ExactTests(data), contrasts_of(self._plan, data.name)
         for hypothesis in hypotheses:
-            if (apart := exact.apart(values, hypothesis)) is not None:
+            if (independent := exact.independent(values, hypothesis)) is not None:
                 key = contrast_key(hypothesis.statement)
-                found[key] = np.maximum(found[key], apart)
+                found[key] = np.maximum(found[key], independent)
                 if not data.known.columns and (unknown := np.isnan(found[key])).any():
                     found[key][unknown] = exact.p_values(values[unknown], [hypothesis], self._draws)[key]
         if alike.any():

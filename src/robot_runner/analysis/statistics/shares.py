@@ -18,7 +18,7 @@ from robot_runner.analysis.statistics.linear_model import FittedModel
 from robot_runner.analysis.statistics.post_hoc import MOST_PAIRS, adjusted, carry_out_contrast, compare_pairs
 from robot_runner.analysis.statistics.proportion_contrasts import (
     carry_out_contrast_of_proportions,
-    no_surer_than_apart,
+    with_larger_p_value,
 )
 from robot_runner.analysis.statistics.proportions import PROPORTION, QUANTITY, compare_proportions, runs_together
 from robot_runner.analysis.statistics.strata_model import StrataModel
@@ -131,7 +131,7 @@ def _of_sum(
         is_by_score = hypothesis.has_bound and not answers.known.columns
         return carry_out_contrast_of_proportions(answers, hypothesis, choices) if is_by_score else found
     if hypothesis.has_bound:
-        found = no_surer_than_apart(found, answers, hypothesis)
+        found = with_larger_p_value(found, answers, hypothesis)
     most = _MOST * sum(max(0.0, weight) for weight in (hypothesis.contrast or {"": 1.0}).values())
     return replace(found, interval=_limited(found.interval, most))
 

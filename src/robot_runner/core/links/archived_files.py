@@ -77,7 +77,7 @@ def unpack(archive: IO[bytes], folder: Path, most: int) -> Unpacked:
                     break
                 if not member.isdir() and not _unpack_member(tar, member.name, held, folder, unpacked):
                     break
-    except (ValueError, OverflowError, MemoryError):  # a map of a sparse file that is none, a header without end
+    except (ValueError, OverflowError, MemoryError):  # an invalid sparse map, or an endless header
         unpacked.problems.append("the archive that came cannot be read to its end")
     return unpacked
 
