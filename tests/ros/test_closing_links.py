@@ -80,6 +80,20 @@ def test_where_nobody_is_known_to_have_commanded_zero_is_published_and_not_await
     assert told == ["/bob/cmd_vel"], "who stands by insists that the robot takes it"
 
 
+def test_no_robot_is_commanded_until_whoever_stands_by_knows_of_it(link, transport, monkeypatch):
+    """The second command was published where the first could not be told, as for a lack of room: nobody stopped it."""
+    monkeypatch.setattr(commanded_topics, "_listeners", [fails(OSError("no space left on device"))])
+    for _ in range(2):  # as in a mission that goes on whatever is raised
+        with pytest.raises(OSError, match="no space left"):
+            link.publish("/alice/cmd_vel", TWIST, {"linear": {"x": 0.2}})
+    assert transport.published == []
+    told = []
+    monkeypatch.setattr(commanded_topics, "_listeners", [lambda each: told.append(each.topic)])
+    for _ in range(2):
+        link.publish("/alice/cmd_vel", TWIST, {"linear": {"x": 0.2}})
+    assert (told, len(transport.published)) == (["/alice/cmd_vel"], 2)
+
+
 def test_every_robot_is_told_before_anybody_waits_for_one_that_is_out_of_reach(link, transport):
     for robot in ("alice", "bob"):
         link.publish(f"/{robot}/cmd_vel", TWIST, {"linear": {"x": 0.2}})

@@ -12,7 +12,7 @@ from functools import partial
 import pytest
 from tests.ros.dds_domain import LOOPBACK, claim_domain
 from tests.ros.other_node import OtherNode
-from tests.waiting import wait_until
+from tests.waiting import PATIENCE, wait_until
 
 from robot_runner.core.errors import LinkError
 from robot_runner.core.events.context import SystemClock
@@ -27,13 +27,13 @@ pytest.importorskip("cyclonedds", reason="it is not published built for every ma
 from cyclonedds.qos import Policy
 from cyclonedds.qos import Qos as DdsQos
 
-from robot_runner.ros import dds_reception, dds_transport, graph_look
+from robot_runner.ros import dds_reception, dds_session, dds_transport, graph_look
 from robot_runner.ros.dds_qos import reader_profile
 from robot_runner.ros.dds_reception import topic_wire_type
 from robot_runner.ros.qos_policies import KEPT
 
 DOMAIN = claim_domain()
-STRING, PLACE = "std_msgs/String", "lab_msgs/Place"
+STRING, PLACE, TWIST = "std_msgs/String", "lab_msgs/Place", "geometry_msgs/Twist"
 
 
 def other_node(**options):
@@ -44,6 +44,7 @@ def other_node(**options):
 @pytest.fixture(autouse=True)
 def _loopback(monkeypatch):
     monkeypatch.setenv("CYCLONEDDS_URI", LOOPBACK)
+    monkeypatch.setattr("robot_runner.ros.dds_session.FINDING", 0.0)  # all are discovered within milliseconds here
     monkeypatch.delenv("ROS_DISTRO", raising=False)
     monkeypatch.delenv("ROS_DOMAIN_ID", raising=False)
 
@@ -81,6 +82,21 @@ def test_a_node_that_is_no_link_hears_is_heard_and_answers(other, link):
     assert mine.call("lamp", "std_srvs/SetBool", {"data": True}) == {"success": True, "message": "lamp is True"}
     mine.publish("cmd_vel", "geometry_msgs/Twist", {"linear": {"x": 0.25}})
     assert node.until(lambda fact: "velocity" in fact) == {"velocity": 0.25}
+
+
+@pytest.mark.long
+def test_a_robot_that_is_discovered_late_is_sent_the_first_command(link, monkeypatch):
+    """As one of Fast DDS on an interface without multicast: it announces itself every 3 s."""
+    monkeypatch.setattr(dds_session, "SETTLING", 0.1)
+    monkeypatch.setattr(dds_session, "FINDING", PATIENCE)
+    domain, heard = {"domain": str(claim_domain()), "distro": "jazzy"}, []
+    mine = link(**domain)
+    publishing = threading.Thread(target=mine.publish, args=("cmd_vel", TWIST, {"linear": {"x": 0.25}}))
+    publishing.start()
+    publishing.join(10 * dds_session.SETTLING)
+    link(**domain).subscribe("cmd_vel", TWIST, heard.append)
+    publishing.join(PATIENCE)
+    assert wait_until(lambda: heard)[0]["linear"]["x"] == 0.25
 
 
 @pytest.mark.long

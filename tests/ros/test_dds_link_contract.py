@@ -18,6 +18,7 @@ class TestDdsLink(GraphLinkContract):
         monkeypatch.setenv("CYCLONEDDS_URI", LOOPBACK)
         # On loopback everybody is discovered within milliseconds; what is not there need not be waited for.
         monkeypatch.setattr("robot_runner.ros.dds_session.SETTLING", 0.25)
+        monkeypatch.setattr("robot_runner.ros.dds_session.FINDING", 0.0)
 
     def make_link(self, namespace=""):
         return open_dds_link({"domain": str(_DOMAIN), "distro": "jazzy"}, SystemClock(), namespace)

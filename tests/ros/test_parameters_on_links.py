@@ -67,6 +67,7 @@ def simulated(monkeypatch):
 def dds(monkeypatch):
     monkeypatch.setenv("CYCLONEDDS_URI", LOOPBACK)
     monkeypatch.setattr("robot_runner.ros.dds_session.SETTLING", 0.25)
+    monkeypatch.setattr("robot_runner.ros.dds_session.FINDING", 0.0)
     yield lambda namespace="": open_dds_link({"domain": str(_DOMAIN), "distro": "humble"}, SystemClock(), namespace)
 
 

@@ -20,6 +20,8 @@ from robot_runner.core.links.robot import Encoding, Qos
 from robot_runner.ros.bag_file import new_bag
 from robot_runner.ros.opened_bag import OpenedBag
 from robot_runner.ros.recorded_bag import RecordedBag
+from robot_runner.ros.shapes import completed
+from robot_runner.ros.type_catalogue import TypeCatalogue
 
 TEXT = bytes([0, 1, 0, 0, 3, 0, 0, 0]) + b"hi\0"
 
@@ -32,6 +34,18 @@ def found(path):
         assert [topic for topic, _ in bag.stamps() if topic in names] == names
         problems = {topic.name: topic.problem for topic in bag.topics.values() if topic.problem}
         return {name: names.count(name) for name in sorted(set(names))}, problems
+
+
+def test_the_feedback_of_an_action_is_recorded_by_the_name_that_its_type_has_in_ros_2(tmp_path):
+    catalogue, kind = TypeCatalogue.of(2), "nav2_msgs/NavigateToPose_FeedbackMessage"
+    bag = new_bag(tmp_path, Encoding.CDR)
+    topic = bag.add_topic("/navigate_to_pose/_action/feedback", kind, catalogue.definition(kind))
+    bag.write(topic, BEGIN_NS, catalogue.serialise(kind, completed(catalogue.shape(kind), {}, where="a"), Encoding.CDR))
+    bag.close()
+    for path in (tmp_path, bag.path):  # by its metadata.yaml, and by the file alone
+        assert found(path) == ({"/navigate_to_pose/_action/feedback": 1}, {})
+        with RecordedBag(path) as opened:
+            assert [each.msgtype for each in opened.connections] == ["nav2_msgs/action/NavigateToPose_FeedbackMessage"]
 
 
 @pytest.mark.parametrize("sqlite", [False, True])

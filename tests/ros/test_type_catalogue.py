@@ -84,6 +84,13 @@ def test_a_definition_is_followed_by_those_that_it_is_made_of():
     assert "=" * 80 + "\nMSG: geometry_msgs/Quaternion\n" in text
 
 
+def test_the_feedback_of_an_action_has_a_definition_as_any_topic_has():
+    first, *others = TypeCatalogue.of(2).definition("nav2_msgs/NavigateToPose_FeedbackMessage").split(f"{'=' * 80}\n")
+    assert first == "unique_identifier_msgs/UUID goal_id\nnav2_msgs/NavigateToPose_Feedback feedback\n"
+    (feedback,) = (each for each in others if each.startswith("MSG: nav2_msgs/NavigateToPose_Feedback\n"))
+    assert "builtin_interfaces/Duration navigation_time\n" in feedback
+
+
 def test_a_message_is_what_its_bytes_were_made_of(generation):
     number, encoding = generation
     catalogue = TypeCatalogue.of(number)

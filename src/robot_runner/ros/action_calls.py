@@ -53,8 +53,7 @@ def missing_action(action: str, action_type: str, known: Mapping[str, str]) -> L
         >>> missing_action("/navigate_to_pos", "nav2_msgs/NavigateToPose", {"/navigate_to_pose": ""}).fix
         "Did you mean '/navigate_to_pose'?"
     """
-    true = known.get(action)
-    if true:
+    if true := known.get(action):
         problem = f"the action is of the type {true}, not {action_type}"
         return LinkError(problem, where=action, fix=f"Name the type {true!r}.")
     fix = did_you_mean(action, known, "Start the node that offers it.")
@@ -62,10 +61,9 @@ def missing_action(action: str, action_type: str, known: Mapping[str, str]) -> L
 
 
 def await_action(actions: Callable[[], Mapping[str, str]], action: str, action_type: str, seconds: float) -> None:
-    """Return once `actions` has the action with this type, or with an unknown one; wait for `seconds` at most.
+    """Return once `actions` has the action with this type, or with an unknown one.
 
-    Raises:
-        LinkError: the action is not offered in time, or has another type.
+    A `LinkError` says that it has another type, or is not offered within `seconds`.
     """
     deadline = time.monotonic() + seconds
     while (known := actions()).get(action) not in {action_type, "*"}:
@@ -89,11 +87,8 @@ def check_one_server(action: str, servers: Iterable[GraphEndpoint]) -> None:
 class LinkGoals:
     """The goals of one link: its clients of actions, and the goals to be cancelled when it is closed.
 
-    Args:
-        dialect: the graph's protocol for actions.
-        wait: waits for an event, as the link's transport does.
-        check_open: raises a `LinkError` where the link is closed, or is about to be.
-        has_threads: whether the transport may be used in several threads.
+    `wait` is the transport's; `check_open` raises a `LinkError` where the link is closed, or is about to be;
+    `has_threads` says whether the transport may be used in several threads.
     """
 
     def __init__(
@@ -124,15 +119,9 @@ class LinkGoals:
         timeout: float,
         graph: str | None = None,
     ) -> SentGoal:
-        """Send a goal, and return it once it is accepted; before the first, a standby is told of the action.
+        """Send a goal, and return it once it is accepted, within `timeout` (s).
 
-        Args:
-            action: its full name.
-            action_type: of the action.
-            goal: its fields.
-            take_feedback: called with the feedback.
-            timeout: until it is accepted, s.
-            graph: that of the link; None for a robot in this process.
+        Before the first, a standby is told of the action; `graph` is the link's, None for a robot in this process.
         """
         complete = completed(self._dialect.types(action_type).goal, goal, where=action)
         client = self._client(action, action_type, timeout)
@@ -174,8 +163,7 @@ class LinkGoals:
     def close(self) -> None:
         """Cancel the goals that are not over, wait briefly for their ends, and leave the actions.
 
-        Raises:
-            LinkError: one of them could not be cancelled.
+        A `LinkError` says that one of them could not be cancelled.
         """
         deadline = time.monotonic() + CLOSING_SECONDS
         faults: list[LinkError] = []

@@ -23,13 +23,7 @@ _ENDING_SECONDS = 2.0
 
 @dataclass(frozen=True, slots=True)
 class ActionTypes:
-    """The message types of an action.
-
-    Attributes:
-        goal: of the goal.
-        result: of its result.
-        feedback: of the feedback during its execution.
-    """
+    """The message types of an action: of its goal, of the result, and of the feedback during its execution."""
 
     goal: Shape
     result: Shape
@@ -55,14 +49,9 @@ class Outlet(Protocol):
 
 
 class Execution:
-    """A goal while it is executed, and for some time after.
+    """A goal, with every field of its type, while it is executed, and for some time after.
 
-    Attributes:
-        key: of the goal in the protocol.
-        goal: with every field of its type.
-        accepted_ns: when it was accepted, ns since the epoch.
-        status: its state.
-        result: its result, once it is over.
+    Its `key` is that of the protocol; `accepted_ns` is in ns since the epoch. Once it is over there is a `result`.
     """
 
     def __init__(self, server: GoalServer, key: str, goal: Message) -> None:
@@ -88,15 +77,10 @@ class Execution:
 
 
 class GoalServer:
-    """Executes goals, each in a thread of its own.
+    """Executes the goals of an action, given by its full name, each in a thread of its own.
 
-    Args:
-        action: full name of the action.
-        types: its message types.
-        execute: executes a goal.
-        accept: whether to accept a goal; None accepts all.
-        on_fault: called with exceptions of `execute` or `accept` that are not the end of a goal.
-        start: starts a function in a thread of its own, whose name is given.
+    `accept` says whether to accept a goal; None accepts all. `on_fault` is called with exceptions of `execute` or
+    `accept` that are not the end of a goal.
     """
 
     def __init__(
@@ -126,13 +110,11 @@ class GoalServer:
         """The goals that are remembered, the oldest first."""
         now = time.monotonic()
         with self._lock:
-            stale = [
-                key
+            self._executions = {
+                key: each
                 for key, each in self._executions.items()
-                if each.told.is_set() and now - each.over_since > _REMEMBERED_SECONDS
-            ]
-            for key in stale:
-                del self._executions[key]
+                if not each.told.is_set() or now - each.over_since <= _REMEMBERED_SECONDS
+            }
             return list(self._executions.values())
 
     def connect(self, outlet: Outlet) -> None:

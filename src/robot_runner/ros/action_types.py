@@ -48,13 +48,9 @@ def is_action_part(name: str) -> bool:
 
 
 def action_parts(generation: int, name: str, text: str, *, where: str) -> dict[str, str]:
-    r"""Return the definition of each message that ROS derives from an action, by its name in type stores.
+    r"""Return the definition of each message that ROS 1 or 2 derives from an action, by its name in type stores.
 
-    Args:
-        generation: of ROS, 1 or 2.
-        name: of the action, such as `nav2_msgs/NavigateToPose`.
-        text: its definition.
-        where: its file, for the error.
+    The action is given by its name, such as `nav2_msgs/NavigateToPose`, and its definition; `where` is its file.
 
     Raises:
         LinkError: the definition does not have three parts.
@@ -66,11 +62,8 @@ def action_parts(generation: int, name: str, text: str, *, where: str) -> dict[s
     """
     pieces = split_definition(text)
     if len(pieces) != 3:  # noqa: PLR2004  # goal, result and feedback
-        raise LinkError(
-            f"an action has two lines '---', not {len(pieces) - 1}",
-            where=where,
-            fix="Put '---' between goal and result, and between result and feedback.",
-        )
+        fix = "Put '---' between goal and result, and between result and feedback."
+        raise LinkError(f"an action has two lines '---', not {len(pieces) - 1}", where=where, fix=fix)
     goal, result, feedback = pieces
     package, _, short = plain_type(name).partition("/")
     return (_parts1 if generation == 1 else _parts2)(package, short, goal, result, feedback)

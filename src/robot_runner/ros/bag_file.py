@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import json
 import queue
 import threading
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import ExitStack, suppress
+from dataclasses import dataclass
 from itertools import islice, pairwise
 from pathlib import Path
 from statistics import median
@@ -14,9 +16,11 @@ from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import LinkError, PluginError
 from robot_runner.core.links.robot import Encoding, Qos, RawMessage, RobotLink
-from robot_runner.ros.bag_metadata import Contents, offered_profiles
+from robot_runner.core.storage.guarded_files import open_to_fill
 from robot_runner.ros.opened_bag import INSTALL, types_in
+from robot_runner.ros.qos_policies import offered_by
 from robot_runner.ros.recorded_bag import RecordedBag
+from robot_runner.ros.type_store import stored_name
 
 if TYPE_CHECKING:
     from robot_runner.ros.topic_statistics import TypedTopic
@@ -28,15 +32,13 @@ _FIRST = 2000
 def new_bag(folder: Path, encoding: Encoding) -> McapBag | Ros1Bag:
     """Return a new bag in a folder, in the format of the generation of ROS whose messages it takes.
 
-    Raises:
-        PluginError: the library that writes it is not installed.
+    A `PluginError` says that the library that writes it is not installed.
     """
     try:
         return Ros1Bag(folder / "bag.bag") if encoding is Encoding.ROS1 else McapBag(folder / "bag.mcap")
     except ModuleNotFoundError as error:
-        raise PluginError(
-            f"bags cannot be written: {error.name} cannot be imported", where="RosBag", fix=INSTALL
-        ) from error
+        problem = f"bags cannot be written: {error.name} cannot be imported"
+        raise PluginError(problem, where="RosBag", fix=INSTALL) from error
 
 
 class McapBag:
@@ -45,7 +47,6 @@ class McapBag:
     Beside it, `metadata.yaml` makes its folder a bag that `ros2 bag play` and `ros2 bag info` take.
 
     Example:
-        >>> from pathlib import Path
         >>> from tempfile import TemporaryDirectory
         >>> with TemporaryDirectory() as folder:
         ...     bag = McapBag(Path(folder, "bag.mcap"))
@@ -63,19 +64,15 @@ class McapBag:
         self._file = path.open("wb")
         self._writer = Writer(self._file, compression=CompressionType.NONE)
         self._writer.start(profile="ros2", library="robot-runner")
-        self._contents = Contents(path.name)
+        self._contents = _Contents(path.name)
 
     def add_topic(self, topic: str, message_type: str, definition: str, offers: Iterable[Qos] = ()) -> int:
         """Tell of a topic, by its full name, and return the number by which its messages are written.
 
-        Args:
-            topic: its full name.
-            message_type: ROS name.
-            definition: of the type, with those that it is made of.
-            offers: the profiles of its publishers; a player offers the same.
+        The definition of its type has those that it is made of; of the profiles of its publishers, a player offers the
+        same.
         """
-        package, _, name = message_type.partition("/")
-        described = self._contents.add(topic, f"{package}/msg/{name}", offered_profiles(offers))
+        described = self._contents.add(topic, stored_name(message_type), _offered_profiles(offers))
         schema = self._writer.register_schema(described.message_type, "ros2msg", definition.encode())
         return self._writer.register_channel(topic, "cdr", schema, {"offered_qos_profiles": described.offered})
 
@@ -90,6 +87,111 @@ class McapBag:
             with self._file:  # which a full disk does not leave open
                 self._writer.finish()  # type: ignore[no-untyped-call]  # mcap's own
             self._contents.write(self.path.parent)
+
+
+# What rosbag2 wants to know of a bag: `metadata.yaml` beside its file, and the QoS that its publishers offered.
+
+#: Of rosbag2's metadata: that of Humble, which all later ones read (rosbag2_storage/metadata_io).
+_VERSION = 5
+
+# rmw/types.h: RMW_QOS_POLICY_HISTORY_KEEP_LAST and _KEEP_ALL, _RELIABILITY_RELIABLE and _BEST_EFFORT,
+# _DURABILITY_TRANSIENT_LOCAL and _VOLATILE, _LIVELINESS_AUTOMATIC. The names in their place came with Jazzy; it takes
+# the numbers as well (rosbag2_storage/qos.cpp).
+_KEEP_LAST, _KEEP_ALL = 1, 2
+_RELIABLE, _BEST_EFFORT = 1, 2
+_KEPT, _VOLATILE = 1, 2
+_AUTOMATIC = 1
+#: RMW_DURATION_INFINITE.
+_FOREVER = "\n    sec: 9223372036\n    nsec: 854775807\n"
+
+
+def _offered_profiles(offers: Iterable[Qos]) -> str:
+    """Return what a bag holds of the QoS of a topic's publishers: YAML as rosbag2 writes it; empty for none.
+
+    Example:
+        >>> print(_offered_profiles([Qos.SENSOR_DATA]).splitlines()[2])
+          reliability: 2
+    """
+    return "".join(map(_profile, sorted(set(offers))))
+
+
+def _profile(offer: Qos) -> str:
+    policies = offered_by(offer)
+    history = _KEEP_LAST if policies.depth else _KEEP_ALL
+    reliability = _RELIABLE if policies.is_reliable else _BEST_EFFORT
+    durability = _KEPT if policies.is_kept else _VOLATILE
+    return (
+        f"- history: {history}\n  depth: {policies.depth}\n  reliability: {reliability}\n  durability: {durability}\n"
+        f"  deadline:{_FOREVER}  lifespan:{_FOREVER}  liveliness: {_AUTOMATIC}\n  liveliness_lease_duration:{_FOREVER}"
+        "  avoid_ros_namespace_conventions: false\n"
+    )
+
+
+@dataclass(slots=True)
+class _DescribedTopic:
+    """A topic of a bag that is written: its full name, and its type as ROS 2 spells it (`nav_msgs/msg/Odometry`).
+
+    `offered` has the QoS profiles of its publishers, in YAML; `count` is how many messages there are.
+    """
+
+    name: str
+    message_type: str
+    offered: str
+    count: int = 0
+
+    def facts(self) -> dict[str, Any]:
+        """Return what the metadata say of it."""
+        described = {
+            "name": self.name,
+            "type": self.message_type,
+            "serialization_format": "cdr",
+            "offered_qos_profiles": self.offered,
+        }
+        return {"topic_metadata": described, "message_count": self.count}
+
+
+class _Contents:
+    """What is in a bag of one MCAP file, counted while it is written."""
+
+    def __init__(self, file: str) -> None:
+        self._file = file
+        self._topics: list[_DescribedTopic] = []
+        self._begin_ns: int | None = None
+        self._end_ns = 0
+
+    def add(self, name: str, message_type: str, offered: str) -> _DescribedTopic:
+        """Note a topic; they are numbered from 1."""
+        self._topics.append(_DescribedTopic(name, message_type, offered))
+        return self._topics[-1]
+
+    def count(self, topic: int, received_ns: int) -> int:
+        """Note a message of a topic, and return its number there, from 1."""
+        self._begin_ns = received_ns if self._begin_ns is None else min(self._begin_ns, received_ns)
+        self._end_ns = max(self._end_ns, received_ns)
+        described = self._topics[topic - 1]
+        described.count += 1
+        return described.count
+
+    def write(self, folder: Path) -> None:
+        """Write `metadata.yaml` into a folder; what it says is JSON, which is YAML."""
+        count = sum(topic.count for topic in self._topics)
+        begin = self._begin_ns or 0
+        span = {"nanoseconds": max(0, self._end_ns - begin)}
+        start = {"nanoseconds_since_epoch": begin}
+        facts = {
+            "version": _VERSION,
+            "storage_identifier": "mcap",
+            "duration": span,
+            "starting_time": start,
+            "message_count": count,
+            "topics_with_message_count": [topic.facts() for topic in self._topics],
+            "compression_format": "",
+            "compression_mode": "",
+            "relative_file_paths": [self._file],
+            "files": [{"path": self._file, "starting_time": start, "duration": span, "message_count": count}],
+        }
+        with open_to_fill(folder / "metadata.yaml") as file:
+            file.write(f"{json.dumps({'rosbag2_bagfile_information': facts}, indent=2)}\n".encode())
 
 
 class Ros1Bag:
@@ -149,8 +251,7 @@ def _delays(bag: RecordedBag, begin_ns: int) -> Iterator[float]:
     for topic, stamp in islice(bag.stamps(), _FIRST):
         stamps[topic].append(stamp)
     for found in stamps.values():
-        periods = [later - earlier for earlier, later in pairwise(found)]
-        if periods:
+        if periods := [later - earlier for earlier, later in pairwise(found)]:
             yield max(0.0, (found[0] - begin_ns - median(periods)) * 1e-9)
 
 
@@ -178,20 +279,13 @@ _PATIENCE = 60.0
 
 
 class LinkRecorder:
-    """Writes what is received into a bag, in a thread of its own: the disk holds up no callback.
+    """Writes what is received into a bag (`path`), in a thread of its own: the disk holds up no callback.
 
-    Args:
-        link: to the robot.
-        topics: what to record.
-        folder: takes the bag.
+    `messages` is how many were written.
 
     Raises:
         PluginError: the library that writes bags is not installed.
         LinkError: a topic cannot be subscribed.
-
-    Attributes:
-        path: where the bag is.
-        messages: how many were written.
     """
 
     def __init__(self, link: RobotLink, topics: Sequence[TypedTopic], folder: Path) -> None:

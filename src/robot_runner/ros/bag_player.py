@@ -10,7 +10,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from robot_runner.core.errors import PluginError
+from robot_runner.core.errors import Finding, PluginError
 from robot_runner.core.events.context import Clock
 from robot_runner.core.links.robot import Advertiser, Encoding, Message, Qos, RobotLink
 from robot_runner.core.words import enumerated
@@ -55,17 +55,13 @@ class Played:
 
 
 class LinkPlayer:
-    """Publishes the messages of a bag over a link, as far apart as they were recorded.
+    """Publishes the messages of a bag, which is open until it is played, as far apart as they were recorded.
 
     What was recorded is not changed: stamps in headers stay those of the recording. Only messages with fixed frames
     hold all earlier ones, too, as a late subscriber gets the last message, and in the bag each publisher had its own.
 
-    Args:
-        bag: open for reading, until it is played.
-        topics: of it.
-        link: to the graph.
-        rate: how many seconds of the bag go by in one second.
-        has_clock: whether to publish the bag's time on `/clock`; what was recorded there is left out then.
+    `rate` is how many seconds of the bag go by in one second. With `has_clock` the bag's time is published on `/clock`,
+    and what was recorded there is left out.
     """
 
     def __init__(
@@ -148,11 +144,7 @@ class LinkPlayer:
 
 
 class ProgramPlayer:
-    """A player of ROS' own, from its start until it has ended.
-
-    Raises:
-        PluginError: it cannot be started.
-    """
+    """A player of ROS' own, from its start until it has ended; raises a `PluginError` if it cannot be started."""
 
     def __init__(self, command: Sequence[str], encoding: Encoding, folder: Path, clock: Clock) -> None:
         self._encoding = encoding
@@ -181,18 +173,14 @@ class ProgramPlayer:
                 subscriptions.callback(subscription.close)
             if self._process.wait(has_come, seconds=_STARTUP):
                 return
-        program = PROGRAMS[self._encoding]
         if not self._process.is_running:
             raise self._failure()
+        problem = f"nothing that {PROGRAMS[self._encoding]} plays came within {_STARTUP:g} s"
         fix = "See that it is on the same graph: ROS_DOMAIN_ID, ROS_MASTER_URI."
-        raise PluginError(f"nothing that {program} plays came within {_STARTUP:g} s", where="PlayBag", fix=fix)
+        raise PluginError(problem, where="PlayBag", fix=fix)
 
     def play(self) -> None:
-        """Return once it has ended by itself, with the bag.
-
-        Raises:
-            PluginError: it failed.
-        """
+        """Return once it has ended by itself, with the bag; raise a `PluginError` if it failed."""
         while self._process.is_running:
             self._clock.sleep(_LOOK)
         ending = self._process.stop(ENDING[self._encoding], grace=_GRACE)
@@ -211,13 +199,9 @@ class ProgramPlayer:
 
 
 def playing(bag: RecordedBag, topics: Sequence[str] | None, *, rate: float, has_clock: bool) -> list[str]:
-    """Return the command that plays a bag with the program of its generation of ROS.
+    """Return the command that plays topics of a bag (None for all) with the program of its generation of ROS.
 
-    Args:
-        bag: what is played.
-        topics: full names; None for all.
-        rate: how many seconds of the bag go by in one second.
-        has_clock: whether it publishes the bag's time.
+    `rate` is how many seconds of the bag go by in one second; with `has_clock` it publishes the bag's time.
     """
     path = str(bag.path.absolute())
     if bag.encoding is Encoding.ROS1:
@@ -234,10 +218,7 @@ def playing(bag: RecordedBag, topics: Sequence[str] | None, *, rate: float, has_
 def refuse_rivals(link: RobotLink, topics: Sequence[str], *, allowed: int = 0) -> None:
     """Refuse other publishers of what is played, as nodes would get both; topics that many nodes share are left out.
 
-    Args:
-        link: to the graph.
-        topics: full names.
-        allowed: how many others may publish each: the program that plays is one.
+    Of others, `allowed` may publish each: the program that plays is one.
 
     Raises:
         PluginError: there are others; each is one of its findings.
@@ -248,6 +229,5 @@ def refuse_rivals(link: RobotLink, topics: Sequence[str], *, allowed: int = 0) -
         if len(others) > allowed:
             named = enumerated(sorted(map(str, others)))
             fix = "End it, or leave the topic out: topics=[...]."
-            faults.append(PluginError(f"{named} publishes {topic}, too", where="PlayBag", fix=fix))
-    if faults:
-        raise PluginError.of_findings([each.as_finding() for each in faults])
+            faults.append(Finding.error("PlayBag", f"{named} publishes {topic}, too", fix))
+    PluginError.refuse(faults)

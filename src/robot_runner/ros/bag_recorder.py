@@ -67,18 +67,11 @@ touch done
 
 
 class BagProgram:
-    """A recorder of ROS' own, from its start until it is closed.
+    """A recorder of ROS' own, from its start until it is closed; raises a `PluginError` if it cannot be started.
 
-    Args:
-        encoding: of the messages, from which the generation of ROS follows.
-        topics: full names.
-        folder: for the bag.
-        host: in one of ssh's forms; `localhost` is this machine.
-        setup: a file to be sourced on the host first, such as `/opt/ros/humble/setup.bash`.
-        ssh_config: a file to use instead of the user's ssh config.
-
-    Raises:
-        PluginError: it cannot be started.
+    The generation of ROS follows from the encoding of the messages; topics are given by their full names. It is
+    executed on `host`, in one of ssh's forms (`localhost` is this machine), where the file `setup` is sourced first,
+    such as `/opt/ros/humble/setup.bash`; `ssh_config` is used instead of the user's ssh config.
     """
 
     def __init__(
@@ -112,11 +105,9 @@ class BagProgram:
             raise
         if not self._process.is_running:
             ending = self._process.stop(ENDING[encoding], grace=_GRACE)
-            raise PluginError(
-                f"{PROGRAMS[encoding]} ended at once: {ending.complaint}",
-                where=f"RosBag on {host}",
-                fix=remedy(host, self._process.said) if host != LOCAL else "Source the setup file of ROS (`setup`).",
-            )
+            problem = f"{PROGRAMS[encoding]} ended at once: {ending.complaint}"
+            fix = remedy(host, self._process.said) if host != LOCAL else "Source the setup file of ROS (`setup`)."
+            raise PluginError(problem, where=f"RosBag on {host}", fix=fix)
 
     def close(self) -> str | None:
         """End it, fetch the bag from another computer, and return what went wrong, if anything did."""

@@ -150,11 +150,9 @@ _SIMULATORS_ROS2 = {
 
 
 def bundled_definitions(generation: int, distro: str) -> dict[str, str]:
-    """Return the definitions that are known without any ROS, by name and suffix.
+    """Return the definitions that are known without any ROS, by name and suffix, for a distribution of ROS 1 or 2.
 
-    Args:
-        generation: of ROS, 1 or 2. ROS 1 has no Nav2; its actions are there for a simulated one.
-        distro: the distribution's name.
+    ROS 1 has no Nav2; its actions are there for a simulated one.
 
     Example:
         >>> bundled_definitions(1, "noetic")["webots_ros/set_int.srv"].splitlines()

@@ -29,13 +29,7 @@ from cyclonedds.topic import Topic
 
 from robot_runner.core.errors import LinkError
 from robot_runner.core.links.robot import Encoding, Message
-from robot_runner.ros.dds_graph import (
-    LINK_QOS,
-    matched_publications,
-    matched_subscriptions,
-    reply_topic,
-    request_topic,
-)
+from robot_runner.ros.dds_graph import LINK_QOS, matched_publications, matched_subscriptions, reply_topic, request_topic
 from robot_runner.ros.dds_qos import service_profile
 from robot_runner.ros.dds_reception import Reception, delete, service_wire_type
 from robot_runner.ros.rtps_replies import RequestId, RtpsReplies, captured_messages
@@ -83,9 +77,10 @@ class PacketCapture:
                 os.mkfifo(pipe, 0o600)
                 reading = os.open(pipe, os.O_RDONLY | os.O_NONBLOCK)  # else it waits until Cyclone DDS opens it
                 capture = undoing.enter_context(os.fdopen(reading, "rb"))
-                self._domain = _captured_domain(domain, pipe)
+                self._number = next(_numbers)
+                self._domain = Domain(self._number, _capturing(domain, pipe))
                 self._stream = _stream_of(self._library, reading)
-                self.participant = DomainParticipant(self._domain.number, qos=LINK_QOS)
+                self.participant = DomainParticipant(self._number, qos=LINK_QOS)
                 os.set_blocking(reading, True)
             except DDSException as error:
                 problem = f"services of another middleware than Cyclone DDS cannot be called here: {error}"
@@ -112,7 +107,7 @@ class PacketCapture:
         delete(self.participant)
         self._flusher.join(_END_SECONDS)
         if self._flusher.is_alive():  # it waits for a reader of the standard input, as closing the capture would
-            _logger.warning("the packet capture of domain %s is left open", self._domain.number)
+            _logger.warning("the packet capture of domain %s is left open", self._number)
             return
         delete(self._domain)  # closes the capture, at which its reader ends
         self._reader.join(_END_SECONDS)
@@ -128,20 +123,12 @@ class PacketCapture:
                 self._replies.read(message, receiver)
 
 
-def _captured_domain(domain: int, pipe: Path) -> _NumberedDomain:
+def _capturing(domain: int, pipe: Path) -> str:
     ours = (
         f"<CycloneDDS><Domain id='any'><Discovery><ExternalDomainId>{domain}</ExternalDomainId></Discovery>"
         f"<Tracing><PacketCaptureFile>{escape(str(pipe))}</PacketCaptureFile></Tracing></Domain></CycloneDDS>"
     )
-    return _NumberedDomain(next(_numbers), ",".join(filter(None, (os.environ.get(_CONFIGURATION), ours))))
-
-
-class _NumberedDomain(Domain):
-    """A domain that knows its number within this process."""
-
-    def __init__(self, number: int, configuration: str) -> None:
-        super().__init__(number, configuration)
-        self.number = number
+    return ",".join(filter(None, (os.environ.get(_CONFIGURATION), ours)))
 
 
 def _stream_of(library: Any, pipe: int) -> int | None:
@@ -171,11 +158,7 @@ class _CapturedWriter(DataWriter[Any]):
     """
 
     def write_bytes(self, data: bytes) -> None:
-        """Write a sample, given as its bytes.
-
-        Raises:
-            DDSException: it cannot be written.
-        """
+        """Write a sample, given as its bytes; raise a `DDSException` if it cannot be written."""
         whole = data.ljust(-(-len(data) // 4) * 4, b"\0")
         write = ctypes.CFUNCTYPE(ctypes.c_int32, ctypes.c_int32, ctypes.c_void_p)(("dds_write", self._dll_handle))
         code = write(self._ref, ctypes.byref(_Sample(whole, len(whole))))
@@ -196,11 +179,7 @@ class ForeignServices:
         self._met: set[tuple[bytes, bytes]] = set()
 
     def call(self, service: str, service_type: str, request: Message, deadline: float) -> Message | None:
-        """Call a service that is there, and return its response; None if none came by the deadline.
-
-        Raises:
-            LinkError: it cannot be called.
-        """
+        """Call a service that is there, and return its response; None if none came by the deadline."""
         with self._lock:
             client = self._client(service, service_type)
         if not self.wait_for(client.is_matched, deadline):
@@ -299,11 +278,9 @@ class _Client:
         self._guid = self._writer.guid.bytes
 
     def is_matched(self) -> bool:
-        """Whether the server's endpoints are found."""
         return bool(matched_subscriptions(self._writer) and matched_publications(self.reader))
 
     def is_met(self) -> bool:
-        """Whether a server sends its replies here, too."""
         own = self.reader.guid.bytes
         servers = self._session.graph.writers(reply_topic(self._service))
         return any(self._services.has_met(server.key.bytes, own) for server in servers)

@@ -6,6 +6,7 @@ import re
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from cyclonedds.builtin import (
@@ -97,15 +98,9 @@ def ros_service_type(wire_name: str) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Endpoint:
-    """A publisher or subscriber, as it was discovered.
+    """A publisher or subscriber as it was discovered, with its GUID, its participant's, and the DDS names.
 
-    Attributes:
-        key: its GUID.
-        participant: the GUID of its participant.
-        topic: DDS name of the topic.
-        type_name: DDS name of the type.
-        qos: what it offers or asks for.
-        user_data: as text, such as `typehash=RIHS01_…;`.
+    `qos` is what it offers or asks for; `user_data` is text, such as `typehash=RIHS01_…;`.
     """
 
     key: UUID
@@ -119,10 +114,8 @@ class Endpoint:
     def of(cls, sample: Any) -> Endpoint:
         """Read a sample of one of the built-in topics."""
         qos = sample.qos
-        data = qos[Policy.Userdata].data if Policy.Userdata in qos else b""
-        return cls(
-            sample.key, sample.participant_key, sample.topic_name, sample.type_name, qos, data.decode(errors="replace")
-        )
+        data = qos[Policy.Userdata].data.decode(errors="replace") if Policy.Userdata in qos else ""
+        return cls(sample.key, sample.participant_key, sample.topic_name, sample.type_name, qos, data)
 
     @property
     def type_hash(self) -> str:
@@ -145,7 +138,7 @@ class Graph:
         for topic, take in (
             (BuiltinTopicDcpsParticipant, self._take_participant),
             (BuiltinTopicDcpsPublication, self._take_writer),
-            (BuiltinTopicDcpsSubscription, self._take_reader),
+            (BuiltinTopicDcpsSubscription, partial(self._take, self._readers)),
         ):
             reception.add(BuiltinDataReader(participant, topic), take, "the graph")
 
@@ -154,6 +147,12 @@ class Graph:
         """The GUIDs of all participants, our own among them."""
         with self._lock:
             return frozenset(self._participants)
+
+    @property
+    def links(self) -> frozenset[UUID]:
+        """The GUIDs of those that are links of Robot Runner."""
+        with self._lock:
+            return frozenset(self._links)
 
     def silent(self) -> frozenset[UUID]:
         """Return the participants that have announced no reader or writer, except links that are still being opened.
@@ -216,9 +215,6 @@ class Graph:
         self._take(self._writers, sample)
         if self.on_writer is not None and _is_alive(sample):
             self.on_writer(self._writers[sample.key])
-
-    def _take_reader(self, sample: Any) -> None:
-        self._take(self._readers, sample)
 
     def _take(self, endpoints: dict[UUID, Endpoint], sample: Any) -> None:
         with self._lock:

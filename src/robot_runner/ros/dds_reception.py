@@ -9,6 +9,7 @@ import types
 from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
+from dataclasses import dataclass
 from functools import lru_cache, partial
 from typing import TYPE_CHECKING, Any
 
@@ -56,19 +57,12 @@ _BOUNDED_STRING: Any = idl.bounded_str
 _SERVICE_HEADER = {"guid": idl.uint64, "seq": idl.int64}
 
 
+@dataclass(slots=True, eq=False)
 class RawSample:
-    """The bytes of a sample, with its sample info.
+    """The bytes of a sample, CDR with its header of four bytes, and its sample info, which the reader sets."""
 
-    Attributes:
-        data: CDR, with its header of four bytes.
-        sample_info: set by the reader.
-    """
-
-    __slots__ = ("data", "sample_info")
-
-    def __init__(self, data: bytes) -> None:
-        self.data = data
-        self.sample_info: Any = None
+    data: bytes
+    sample_info: Any = None
 
 
 def wire_type_name(message_type: str, kind: str = "msg") -> str:

@@ -66,7 +66,6 @@ class _Side:
         return body[:HEADER_BYTES] + header + body[HEADER_BYTES:]
 
     def unpack(self, shape: Shape, data: bytes) -> dict[str, Any]:
-        """Return the request or reply that follows the header."""
         body = data[:HEADER_BYTES] + data[_BODY:]
         return self.session.types.deserialise(shape.type_name, body, Encoding.CDR)
 
@@ -102,13 +101,11 @@ class ServiceClient:
         self._answers[number] = None
         try:
             self._writer.write(self._request_type(data))
-            self._side.session.reception.wait_for(
-                lambda: self._answers[number] is not None, max(0.0, deadline - time.monotonic())
-            )
+            left = max(0.0, deadline - time.monotonic())
+            self._side.session.reception.wait_for(lambda: self._answers[number] is not None, left)
         except DDSException as error:
-            raise LinkError(
-                f"the request cannot be sent: {error}", where=self._side.service, fix="Try again."
-            ) from error
+            fix = "Try again."
+            raise LinkError(f"the request cannot be sent: {error}", where=self._side.service, fix=fix) from error
         finally:
             answer = self._answers.pop(number)
         return None if answer is None else self._side.unpack(self._side.response, answer)
@@ -213,11 +210,7 @@ def is_foreign(session: Session, service: str) -> bool:
 
 
 def await_service(session: Session, service: str, service_type: str, deadline: float) -> None:
-    """Wait until a service is offered.
-
-    Raises:
-        LinkError: it is not offered by the deadline, or has another type.
-    """
+    """Wait until a service is offered; raise a `LinkError` if it is not by the deadline, or has another type."""
     wire = request_topic(service)
 
     def is_there() -> bool:

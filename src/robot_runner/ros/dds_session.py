@@ -49,7 +49,7 @@ class Nodes:
         self._name = name
         self._lock = threading.Lock()
         self._told: dict[bytes, list[str]] = {}
-        self._endpointsers: dict[bytes, dict[bytes, str]] = {}  # the node of each endpoint, by participant
+        self._owners: dict[bytes, dict[bytes, str]] = {}  # the node of each endpoint, by participant
         self._endpoints: dict[str, list[UUID]] = {"reader": [], "writer": []}
         shape = session.types.shape(_TYPE)
         self._gid_bytes = session.types.shape("rmw_dds_common/Gid").fields[0].count
@@ -81,7 +81,7 @@ class Nodes:
         participant = endpoint.participant.bytes
         with self._lock:
             names = self._told.get(participant, [])
-            owner = self._endpointsers.get(participant, {}).get(endpoint.key.bytes)
+            owner = self._owners.get(participant, {}).get(endpoint.key.bytes)
         return owner or (names[0] if len(names) == 1 else "")
 
     def add(self, kind: str, guid: UUID) -> None:
@@ -100,11 +100,8 @@ class Nodes:
 
     def _tell(self) -> None:
         with self._lock:
-            node = {
-                "node_namespace": "/",
-                "node_name": self._name,
-                **{f"{kind}_gid_seq": list(map(self._gid, guids)) for kind, guids in self._endpoints.items()},
-            }
+            sequences = {f"{kind}_gid_seq": list(map(self._gid, guids)) for kind, guids in self._endpoints.items()}
+            node = {"node_namespace": "/", "node_name": self._name, **sequences}
             nodes = [node] if any(self._endpoints.values()) else []
             self._told[self._session.guid.bytes] = [f"/{self._name}" for _ in nodes]
             message = {"gid": self._gid(self._session.guid), "node_entities_info_seq": nodes}
@@ -128,7 +125,7 @@ class Nodes:
         }
         with self._lock:
             participant = bytes(told["gid"]["data"][:_GUID_BYTES])
-            self._told[participant], self._endpointsers[participant] = names, owners
+            self._told[participant], self._owners[participant] = names, owners
 
 
 #: This long after joining, all participants on the graph have been discovered, s: DDS announces at once.
@@ -136,6 +133,9 @@ SETTLING = 1.0
 #: This long after opening, they have announced their endpoints and nodes, s: those of Fast DDS do so up to 1.2 s after
 #: they are discovered (measured with 2.9 and 2.14). There is a wait only if some have not.
 _TELLING = 3.0
+#: This long after opening, a robot of Fast DDS has been discovered where there is no multicast, as on a loopback
+#: interface, s: it finds us only when it announces itself again, every 3 s.
+FINDING = 3.0
 
 #: The distribution of a graph without type hashes, which came with Iron, and that of an empty graph.
 _BEFORE_TYPE_HASHES, _LATEST = "humble", "jazzy"
@@ -161,6 +161,7 @@ class Session:
         self.is_closed = False
         self._joined = self._opened = time.monotonic()
         self._participant = _joined(settings)
+        self.guid: Any = self._participant.guid
         self._own: set[UUID] = set()
         self._tellers: Callable[[], set[UUID]] = set
         self.own(self._participant)
@@ -176,11 +177,6 @@ class Session:
             self._tellers = self.nodes.tellers
             self._opened = time.monotonic()
             undoing.pop_all()
-
-    @property
-    def guid(self) -> Any:
-        """The participant's own GUID."""
-        return self._participant.guid
 
     def own(self, participant: DomainParticipant) -> None:
         """Count a participant as one of this link's own."""
@@ -218,21 +214,28 @@ class Session:
             self.nodes.add("reader", reader.guid)
         return reader
 
-    def settle(self, is_so: Callable[[], bool]) -> bool:
-        """Wait until `is_so` holds, at most as long as the discovery of the graph takes."""
+    def settle(self, is_so: Callable[[], bool], *, awaits_robot: bool = False) -> bool:
+        """Wait until `is_so` holds, at most as long as the discovery of the graph takes.
+
+        With `awaits_robot`, an empty graph is not believed at once.
+        """
         if not self.graph.wait_for(is_so, max(0.0, self._joined + SETTLING - time.monotonic())):
-            left = max(0.0, self._opened + _TELLING - time.monotonic())
-            self.graph.wait_for(lambda: is_so() or not self._silent(), left)
+            if awaits_robot:
+                self.graph.wait_for(lambda: is_so() or not self.is_alone(), self._left(FINDING))
+            self.graph.wait_for(lambda: is_so() or not self._silent(), self._left(_TELLING))
         return is_so()
 
+    def _left(self, seconds: float) -> float:
+        return max(0.0, self._opened + seconds - time.monotonic())
+
     def _silent(self) -> frozenset[UUID]:
-        """Return the other participants that have not announced their endpoints and nodes."""
         tellers = {writer.participant for writer in self.graph.writers(DISCOVERY_TOPIC)}
         return (self.graph.silent() | (tellers - self._tellers())) - self._own
 
     def is_alone(self) -> bool:
-        """Whether there are no other participants with nodes on its domain."""
-        return not self.graph.participants - self._own - self.nodes.without_nodes()
+        """Whether there are no other participants on its domain but links that have no node, or have yet to tell."""
+        without_nodes = self.nodes.without_nodes() | (self.graph.links - self._tellers())
+        return not self.graph.participants - self._own - without_nodes
 
     def loneliness(self) -> str:
         """Return the fix where no other node is on the graph."""
@@ -262,11 +265,8 @@ class Session:
         try:
             return Topic(self._participant, name, wire_type)
         except DDSException as error:
-            raise LinkError(
-                f"the topic cannot carry {ros_type(wire_type.__idl__.idl_transformed_typename)}: {error}",
-                where=name,
-                fix="Use one type for one topic or service.",
-            ) from error
+            problem = f"the topic cannot carry {ros_type(wire_type.__idl__.idl_transformed_typename)}: {error}"
+            raise LinkError(problem, where=name, fix="Use one type for one topic or service.") from error
 
     def _told_distro(self) -> str:
         """Return the distribution by the endpoints of others: whether all have type hashes, which exist since Iron.
@@ -290,8 +290,5 @@ def _joined(settings: DdsSettings) -> DomainParticipant:
     try:
         return DomainParticipant(settings.domain, qos=LINK_QOS)
     except DDSException as error:
-        raise LinkError(
-            f"DDS domain {settings.domain} cannot be joined: {error}",
-            where="robot",
-            fix="Bring up a network interface, and see that CYCLONEDDS_URI, where it is set, names one that is there.",
-        ) from error
+        fix = "Bring up a network interface, and see that CYCLONEDDS_URI, where it is set, names one that is there."
+        raise LinkError(f"DDS domain {settings.domain} cannot be joined: {error}", where="robot", fix=fix) from error

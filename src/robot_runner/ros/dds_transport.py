@@ -6,7 +6,7 @@ import threading
 import time
 from collections.abc import Callable, Iterable, Mapping
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from cyclonedds.core import DDSException
 
@@ -135,10 +135,8 @@ class DdsTransport:
         return map(self._endpoint, self._session.graph.readers(wire))
 
     def _endpoint(self, found: Endpoint) -> GraphEndpoint:
-        is_own = found.participant == self._session.guid
-        return GraphEndpoint(
-            self._session.nodes.name_of(found), ros_type(found.type_name), is_own, policies_of(found.qos).profile
-        )
+        node, is_own = self._session.nodes.name_of(found), found.participant == self._session.guid
+        return GraphEndpoint(node, ros_type(found.type_name), is_own, policies_of(found.qos).profile)
 
     def wait(self, event: threading.Event, seconds: float) -> None:
         """Wait for an event; in a callback, what arrives meanwhile is received within it."""
@@ -169,7 +167,7 @@ class _Publisher:
         self._offered = writer_profile(qos, self._user_data)
         self._writer = session.writer(self._wire, self._wire_type, self._offered)
         # A message that is published before its readers are discovered does not reach them.
-        session.settle(lambda: bool(matched_subscriptions(self._writer)))
+        session.settle(lambda: bool(matched_subscriptions(self._writer)), awaits_robot=True)
         try:
             _check_types(session, topic, self._wire_type, self._user_data)
             if qos is not Qos.DEFAULT:  # with that, this may have to stop a robot that is discovered later
@@ -183,11 +181,8 @@ class _Publisher:
         try:
             self._writer.write(self._wire_type(data))
         except DDSException as error:
-            raise LinkError(
-                f"the message cannot be published: {error}",
-                where=self._topic,
-                fix="Publish more slowly, or with a QoS that may drop messages: a subscriber does not keep up.",
-            ) from error
+            fix = "Publish more slowly, or with a QoS that may drop messages: a subscriber does not keep up."
+            raise LinkError(f"the message cannot be published: {error}", where=self._topic, fix=fix) from error
 
     def reach(self) -> bool:
         graph, offered = self._session.graph, policies_of(self._offered)
@@ -261,7 +256,7 @@ class _Subscription:
         self._before: dict[int, int] = {}
         self._user_data = session.type_hash(message_type)
         self._wire_type = topic_wire_type(session.types.shape(message_type))
-        session.settle(lambda: bool(session.graph.writers(self._wire_topic)))
+        session.settle(lambda: bool(session.graph.writers(self._wire_topic)), awaits_robot=True)
         _check_types(session, topic, self._wire_type, self._user_data)
         self._asked = self._policies()
         self._check_offers()
@@ -301,9 +296,8 @@ class _Subscription:
     def _policies(self) -> DdsQos:
         if self._qos is not None:
             return reader_profile(self._qos, self._user_data)
-        return adapted_profile(
-            [writer.qos for writer in self._session.graph.writers(self._wire_topic)], self._user_data
-        )
+        offers = [writer.qos for writer in self._session.graph.writers(self._wire_topic)]
+        return adapted_profile(offers, self._user_data)
 
     def _adapt(self) -> None:
         asked = self._policies()
@@ -322,13 +316,9 @@ class _Subscription:
 
     def _check_offers(self) -> None:
         for writer in self._session.graph.writers(self._wire_topic):
-            less = policies_of(self._asked).shortfall(policies_of(writer.qos))
-            if less is not None:
-                raise LinkError(
-                    f"a publisher offers less than the QoS {str(self._qos)!r} asks for: {less}",
-                    where=self._topic,
-                    fix="Leave the QoS out, so that it fits the publishers.",
-                )
+            if (less := policies_of(self._asked).shortfall(policies_of(writer.qos))) is not None:
+                problem = f"a publisher offers less than the QoS {str(self._qos)!r} asks for: {less}"
+                raise LinkError(problem, where=self._topic, fix="Leave the QoS out, so that it fits the publishers.")
 
     def _reading(self) -> Any:
         reader = self._session.reader(self._wire_topic, self._wire_type, self._asked)
@@ -377,14 +367,13 @@ def _other_version(topic: str, wire_type: WireType, endpoint: Endpoint, user_dat
     return LinkError(problem, where=topic, fix=fix)
 
 
-class _Misread:
+class _Misread(NamedTuple):
     """A message of a topic on which values would be taken for others."""
 
-    def __init__(self, misfit: LinkError) -> None:
-        self._misfit = misfit
+    misfit: LinkError
 
     def message(self) -> Message:
-        raise self._misfit
+        raise self.misfit
 
     def raw(self) -> RawMessage:
-        raise self._misfit
+        raise self.misfit

@@ -18,11 +18,7 @@ _LOOKED_AT = 65536
 
 
 def definition_files(path: Path) -> list[Path]:
-    """Return a definition file, or those below a folder.
-
-    Raises:
-        LinkError: there is none.
-    """
+    """Return a definition file, or those below a folder; raise a `LinkError` if there is none."""
     if path.is_file() and path.suffix in SUFFIXES:
         return [path]
     files = sorted(file for suffix in SUFFIXES for file in path.rglob(f"*{suffix}")) if path.is_dir() else []

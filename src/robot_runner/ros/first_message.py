@@ -10,14 +10,9 @@ from robot_runner.core.links.robot import Message
 
 
 class FirstMessage:
-    """Keeps the first message that satisfies a condition, or what the condition raised.
+    """Keeps the first message that satisfies a condition (None: any), or what the condition raised; then `is_over`.
 
-    Args:
-        condition: None for any message.
-        timeout: how long the caller waits, s; for the error.
-
-    Attributes:
-        is_over: set once there is one, or the condition raised.
+    The caller waits for `timeout` (s), which is for the error.
     """
 
     def __init__(self, condition: Callable[[Message], bool] | None, timeout: float) -> None:

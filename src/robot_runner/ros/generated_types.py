@@ -32,11 +32,7 @@ class TypeKind(Enum):
 
 @lru_cache
 def generated_class(type_name: str, kind: TypeKind, is_type: Callable[[Any, str], bool]) -> Any:
-    """Return the class of a type.
-
-    Raises:
-        LinkError: there is none, or its package is not on Python's path.
-    """
+    """Return the class of a type; raise a `LinkError` if there is none, or its package is not on Python's path."""
     name = plain_type(type_name)
     package, slash, short = name.partition("/")
     if not slash or not package or not short.isidentifier():
@@ -54,8 +50,6 @@ def _module(package: str, kind: TypeKind, *, where: str) -> Any:
     try:
         return import_module(f"{package}.{kind.module}")
     except ImportError as error:
-        raise LinkError(
-            f"the {kind.word}s of {package!r} cannot be imported ({error})",
-            where=where,
-            fix="Correct the name, or install its package and source its setup file.",
-        ) from error
+        problem = f"the {kind.word}s of {package!r} cannot be imported ({error})"
+        fix = "Correct the name, or install its package and source its setup file."
+        raise LinkError(problem, where=where, fix=fix) from error

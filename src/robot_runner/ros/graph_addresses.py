@@ -46,10 +46,7 @@ def check_options(link: str, options: Iterable[str], known: Collection[str]) -> 
 
 
 def domain_id(options: Mapping[str, str], environment: Mapping[str, str]) -> int:
-    """Return the DDS domain from the option `domain`, or else from the environment.
-
-    Raises:
-        LinkError: the text is not a domain.
+    """Return the DDS domain from the option `domain`, or else the environment; raise a `LinkError` if it is none.
 
     Example:
         >>> domain_id({"domain": "7"}, {}), domain_id({}, {"ROS_DOMAIN_ID": "3"}), domain_id({}, {})
@@ -60,11 +57,8 @@ def domain_id(options: Mapping[str, str], environment: Mapping[str, str]) -> int
     # Programs of ROS take 010 for 8 (rcl, domain_id.c: strtoul with base 0).
     if text.isascii() and text.isdigit() and text == str(int(text)) and int(text) <= _MAX_DOMAIN:
         return int(text)
-    raise LinkError(
-        f"the domain id is {text!r}",
-        where="robot" if named else "ROS_DOMAIN_ID",
-        fix=f"Give a whole number from 0 to {_MAX_DOMAIN} without zeros before it, the ROS_DOMAIN_ID of the robot.",
-    )
+    fix = f"Give a whole number from 0 to {_MAX_DOMAIN} without zeros before it, the ROS_DOMAIN_ID of the robot."
+    raise LinkError(f"the domain id is {text!r}", where="robot" if named else "ROS_DOMAIN_ID", fix=fix)
 
 
 def graph_of(robot: str) -> str:
@@ -131,8 +125,7 @@ class DdsSettings:
     def of(cls, options: Mapping[str, str], environment: Mapping[str, str] | None = None) -> DdsSettings:
         """Read options, `ROS_DOMAIN_ID` and `ROS_DISTRO` where they are left out, and the range of discovery.
 
-        Raises:
-            LinkError: there is no such option, or its value is invalid.
+        An option or a value that there is not raises a `LinkError`.
         """
         variables = os.environ if environment is None else environment
         check_options("dds", options, _DDS_OPTIONS)
@@ -173,11 +166,7 @@ _RANGES = ("SUBNET", "LOCALHOST", "OFF", "SYSTEM_DEFAULT")
 
 
 def _discovery(variables: Mapping[str, str]) -> tuple[bool, bool]:
-    """Return whether discovery is limited to this machine, and whether the named peers are discovered, too.
-
-    Raises:
-        LinkError: discovery is off, or there is no such range.
-    """
+    """Return whether discovery is limited to this machine, and whether the named peers are discovered, too."""
     if variables.get("ROS_LOCALHOST_ONLY", "").strip() == "1":  # Humble's, which takes precedence over the range
         return True, False
     name = "ROS_AUTOMATIC_DISCOVERY_RANGE"
@@ -222,11 +211,7 @@ class RosbridgeAddress:
 
     @classmethod
     def parse(cls, text: str) -> RosbridgeAddress:
-        """Parse an address.
-
-        Raises:
-            LinkError: the address is invalid, there is no such option, or its value is invalid.
-        """
+        """Parse an address; raise a `LinkError` if it, an option or its value is not valid."""
         try:
             parts = urlsplit(text)
             host, port = parts.hostname, parts.port
@@ -279,7 +264,6 @@ def _check_distro(distro: str | None, known: Collection[str], of: str) -> None:
 
 
 def _paths(options: Mapping[str, str]) -> tuple[Path, ...]:
-    """Return the files and folders with further message types."""
     return tuple(input_file(part) for part in named_definitions(options))
 
 

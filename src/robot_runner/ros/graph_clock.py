@@ -27,10 +27,8 @@ _TOGETHER = 5.0
 class GraphClock:
     """A clock that shows the last time on the graph's own clock; it must be started before it is used.
 
-    Where two nodes publish the time, the run fails, and from then on the later one is ignored.
-
-    Attributes:
-        is_simulated: always true: a graph publishes its time because that is not the real time.
+    Where two nodes publish the time, the run fails, and from then on the later one is ignored. It counts as simulated:
+    a graph publishes its time because that is not the real time.
 
     Example:
         >>> from robot_runner.testing import FakeClock, FakeRobotLink
@@ -57,18 +55,11 @@ class GraphClock:
         self._subscription = link.subscribe_raw(_TOPIC, _TYPE, self._take)
 
     def start(self) -> None:
-        """Return once the clock shows the graph's time.
-
-        Raises:
-            LinkError: the time is not published.
-        """
+        """Return once the clock shows the graph's time; raise a `LinkError` if the time is not published."""
         with self._changed:
             if not self._changed.wait_for(lambda: self._is_known, _PATIENCE):
-                raise LinkError(
-                    f"the graph is to live by {_TOPIC}, and nothing came on it within {_PATIENCE:g} s",
-                    where="the graph's clock",
-                    fix=self._fix,
-                )
+                problem = f"the graph is to live by {_TOPIC}, and nothing came on it within {_PATIENCE:g} s"
+                raise LinkError(problem, where="the graph's clock", fix=self._fix)
 
     def now(self) -> float:
         """Return the last time on the graph's clock, s; never goes back, even if a simulator is reset."""
@@ -91,11 +82,8 @@ class GraphClock:
                 if self._now > shown:
                     shown, seen = self._now, time.monotonic()
                 elif time.monotonic() - seen >= _PATIENCE:
-                    raise LinkError(
-                        f"the graph's clock has stood still at {shown:.3f} s for {_PATIENCE:g} s",
-                        where=_TOPIC,
-                        fix="Check whether the simulation goes on.",
-                    )
+                    problem = f"the graph's clock has stood still at {shown:.3f} s for {_PATIENCE:g} s"
+                    raise LinkError(problem, where=_TOPIC, fix="Check whether the simulation goes on.")
 
     def close(self) -> None:
         """End the subscription; the clock keeps its last time."""

@@ -13,7 +13,6 @@ from robot_runner.core.errors import LinkError
 from robot_runner.core.events.early_end import raised_in_thread
 from robot_runner.core.links.graph_names import full_name, namespace_prefix
 from robot_runner.core.links.robot import (
-    Encoding,
     Goal,
     GoalExecution,
     GraphEndpoint,
@@ -52,7 +51,7 @@ _STOPPING_SECONDS = 20.0
 
 
 class GraphLink:
-    """A link to one robot of a graph; the transport below it hides how client libraries differ.
+    """A link to one robot of a graph, which `connect` joins; the transport below it hides how client libraries differ.
 
     The link resolves names within the robot's namespace, completes messages by their types, keeps the deadline of
     `wait_for`, and closes its publishers, subscriptions and offers in reverse order. Where it published a velocity, it
@@ -61,16 +60,12 @@ class GraphLink:
     logged and raised by `close`. The other exceptions of its methods are documented at the protocol,
     `core.links.robot.RobotLink`.
 
-    Args:
-        connect: joins the graph.
-        namespace: the robot's, such as `/alice`.
-        is_simulated: whether the robot is known to be simulated.
-
     Attributes:
         namespace: the prefix of relative names: empty, or `/alice`.
         graph: how the graph is reached (`dds:domain=7`); empty if not known; None where the robot is in this process.
         parameter_server: that of ROS 1's master; None in ROS 2, where each node holds its parameters.
         answers: whether a node that the graph lists is there; see `core.links.robot.AsksNodes`.
+        encoding: of raw messages.
         is_simulated: whether the robot is known to be; `connect.is_simulation` looks for signs of that on the graph.
 
     Raises:
@@ -98,16 +93,12 @@ class GraphLink:
         self._is_stopped = threading.Event()
         self._stop_all = stop_all
         self._transport = transport = connect()
+        self.encoding = transport.encoding
         self._goals = LinkGoals(transport.actions, transport.wait, self._check_open, has_threads=transport.has_threads)
         self.parameter_server: ParameterServer | None = getattr(transport, "parameter_server", None)
         self.answers: Callable[[str], bool] = getattr(transport, "answers", lambda _node: True)
         if hasattr(transport, "rejoined"):
             self.rejoined = partial(self._rejoined, transport.rejoined)
-
-    @property
-    def encoding(self) -> Encoding:
-        """The encoding of raw messages."""
-        return self._transport.encoding
 
     def publish(self, topic: str, message_type: str, message: Message, *, qos: Qos = Qos.DEFAULT) -> None:
         """Publish one message; at the first on a topic, wait until the existing subscribers are connected."""
@@ -154,12 +145,7 @@ class GraphLink:
         return self._subscribe(topic, message_type, lambda reception: callback(reception.raw()), qos, Lane.BYTES)
 
     def wait_for(
-        self,
-        topic: str,
-        message_type: str,
-        condition: Callable[[Message], bool] | None = None,
-        *,
-        timeout: float = 5.0,
+        self, topic: str, message_type: str, condition: Callable[[Message], bool] | None = None, *, timeout: float = 5.0
     ) -> Message:
         """Return the first message from now on that satisfies the condition; `timeout` is in seconds."""
         first = FirstMessage(condition, timeout)

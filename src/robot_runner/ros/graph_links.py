@@ -9,7 +9,7 @@ from functools import partial
 from importlib import import_module
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 from urllib.parse import parse_qsl
 
 from robot_runner.core.errors import Finding, LinkError
@@ -55,17 +55,15 @@ class GraphLinkKind:
         can_be_forked: whether importing `client` starts no thread, so that processes can be forked afterwards.
     """
 
+    #: A graph does not tell whether its robot is; `is_simulation` looks for signs.
+    is_simulated: ClassVar[bool] = False
+
     description: str
     transport: str
     takes_address: bool = False
     client: tuple[str, ...] = ()
     is_slow_to_join: bool = False
     can_be_forked: bool = True
-
-    @property
-    def is_simulated(self) -> bool:
-        """Return False: a graph does not tell whether its robot is simulated; `is_simulation` looks for signs."""
-        return False
 
     def findings(self, name: RobotName) -> list[Finding]:
         """Return findings that prevent a link to a robot of this name; nothing is opened."""
@@ -163,11 +161,7 @@ class _FoundRobot:
     )
 
     def found_robot(self) -> FoundRobot:
-        """Return the robot that was found.
-
-        Raises:
-            LinkError: none is found.
-        """
+        """Return the robot that was found; raise a `LinkError` if none is found."""
         return import_module("robot_runner.ros.ros_environment").found_robot()  # type: ignore[no-any-return]
 
 
@@ -175,10 +169,7 @@ class _FoundRobot:
 ROS1 = GraphLinkKind("ROS 1 with rospy", "ros1", client=("rospy",))
 ROS2 = GraphLinkKind("ROS 2 with rclpy", "ros2", client=("rclpy",), is_slow_to_join=True, can_be_forked=False)
 DDS = GraphLinkKind(
-    "ROS 2 over DDS, with no ROS installed",
-    "dds",
-    client=("robot_runner.ros.dds_transport",),
-    is_slow_to_join=True,
+    "ROS 2 over DDS, with no ROS installed", "dds", client=("robot_runner.ros.dds_transport",), is_slow_to_join=True
 )
 ROSBRIDGE = GraphLinkKind(
     "ROS 1 or 2 through a rosbridge, with no ROS installed",
@@ -189,23 +180,14 @@ ROSBRIDGE = GraphLinkKind(
 ROSBRIDGE_TLS = replace(ROSBRIDGE, description="ROS 1 or 2 through a rosbridge behind TLS, with no ROS installed")
 AUTO = _FoundRobot()
 
-GRAPH_LINKS: Mapping[str, GraphLinkKind] = MappingProxyType(
-    {
-        "ros1": ROS1,
-        "ros2": ROS2,
-        "dds": DDS,
-        "rosbridge": ROSBRIDGE,
-        "rosbridge+tls": ROSBRIDGE_TLS,
-        "wss": ROSBRIDGE_TLS,
-    }
-)
+_ROSBRIDGES = {"rosbridge": ROSBRIDGE, "rosbridge+tls": ROSBRIDGE_TLS, "wss": ROSBRIDGE_TLS}
+GRAPH_LINKS: Mapping[str, GraphLinkKind] = MappingProxyType({"ros1": ROS1, "ros2": ROS2, "dds": DDS, **_ROSBRIDGES})
 
 
 def clock_fix(name: RobotName) -> str:
     """Return the advice for a run that follows `/clock` where no node publishes it.
 
     Example:
-        >>> from robot_runner.core.links.robot_name import RobotName
         >>> clock_fix(RobotName.parse("ros2:clock=graph"))
         "Start the simulation; or, for a real robot, leave clock=graph out of robot = 'ros2:…'."
     """
@@ -215,11 +197,7 @@ def clock_fix(name: RobotName) -> str:
 
 
 def follows_graph_clock(robot: str | None) -> bool:
-    """Whether a run with the robot of this name follows the time that its graph publishes.
-
-    Raises:
-        LinkError: the name is not valid, or no master answers.
-    """
+    """Whether a run with this robot follows its graph's time; a `LinkError` as of `GraphLinkKind`'s method."""
     name = None if robot is None else RobotName.parse(robot)
     kind = None if name is None else GRAPH_LINKS.get(name.link)
     return name is not None and kind is not None and kind.follows_graph_clock(name)

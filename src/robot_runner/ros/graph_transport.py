@@ -61,13 +61,7 @@ class Reception(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class ReceivedBytes:
-    """A message that arrived as bytes.
-
-    Attributes:
-        data: the message's bytes.
-        received_ns: when it arrived, ns since the epoch.
-        decode: turns the bytes into a mapping.
-    """
+    """A message that arrived as bytes, when it did in ns since the epoch, and what turns the bytes into a mapping."""
 
     data: bytes
     received_ns: int
@@ -234,17 +228,11 @@ def is_simulated_time(clock: Clock) -> bool:
 
 
 def check_type(topic: str, wanted: str, found: Iterable[str], *, owner: str = "") -> None:
-    """Refuse a topic that already has another type; `owner` is the node that uses it, where that is known.
-
-    Raises:
-        LinkError: a type differs.
-    """
-    for true in found:
-        if plain_type(true) != plain_type(wanted):
-            fix = f"Name the type {plain_type(true)!r}, or another topic."
-            known = f"{plain_type(true)} (of {owner})" if owner else plain_type(true)
-            problem = f"the topic carries {known}, not {plain_type(wanted)}"
-            raise LinkError(problem, where=topic, fix=fix)
+    """Refuse, by a `LinkError`, a topic that has another type; `owner` is the node that uses it, where it is known."""
+    for true in map(plain_type, found):
+        if true != plain_type(wanted):
+            problem = f"the topic carries {true}{f' (of {owner})' if owner else ''}, not {plain_type(wanted)}"
+            raise LinkError(problem, where=topic, fix=f"Name the type {true!r}, or another topic.")
 
 
 def silent_publishers(names: Iterable[str]) -> str:

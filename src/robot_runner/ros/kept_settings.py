@@ -10,7 +10,7 @@ import json
 import os
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -33,16 +33,10 @@ _in_care: set[Path] = set()
 
 @dataclass(frozen=True, slots=True)
 class KeptSettings:
-    """The content of one file.
+    """The content of one file: settings of a kind, such as `parameters`, that a plugin set, by full names of nodes.
 
-    Attributes:
-        kind: the kind of settings, such as `parameters`.
-        robot: of the experiment, as its config names it.
-        plugin: the name of the plugin that set them.
-        before: the values before the run, by full names of nodes.
-        wanted: the values that the run set.
-        owner: the process that restores them, and when it was started.
-        graph: of the robot, since robots of one graph may be named `ros2` or `dds:domain=0,distro=humble`.
+    `before` are the values before the run, `wanted` those that it set; `owner` is the process that restores them, and
+    when it was started. Robots of one `graph` may be named `ros2` or `dds:domain=0,distro=humble`.
     """
 
     kind: str
@@ -75,20 +69,8 @@ class KeptSettings:
         return not started or started_at(pid) != started
 
     def write(self) -> None:
-        """Write the file, and sync it to the disk.
-
-        Raises:
-            StorageError: it cannot be written.
-        """
-        stored = {
-            "kind": self.kind,
-            "robot": self.robot,
-            "graph": self.graph,
-            "plugin": self.plugin,
-            "owner": self.owner,
-            "before": as_json(self.before),
-            "wanted": as_json(self.wanted),
-        }
+        """Write the file, and sync it to the disk; raise a `StorageError` if it cannot be written."""
+        stored = {**asdict(self), "before": as_json(self.before), "wanted": as_json(self.wanted)}
         make_experiment_folder(self.path.parent)
         write_beside_and_rename(self.path, lambda file: json.dump(stored, file, indent=1))
         _in_care.add(self.path)

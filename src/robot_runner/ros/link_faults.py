@@ -8,12 +8,7 @@ from robot_runner.core.errors import LinkError
 
 
 def as_link_error(error: Exception, *, where: str, what: str = "") -> LinkError:
-    """Return any exception of a client library as a `LinkError`, which has a place and a fix.
-
-    Args:
-        error: the exception.
-        where: the topic or action.
-        what: what has failed, put before the library's message; may be empty.
+    """Return any exception of a client library as a `LinkError` at a topic or action; `what` says what has failed.
 
     Example:
         >>> print(as_link_error(RuntimeError("the context is not valid"), where="/cmd_vel"))

@@ -1,6 +1,7 @@
 """Opens a link over each transport, and checks whether it can be opened; no client library is imported before.
 
-Each check raises a `LinkError` for what prevents the link, and returns further findings; nothing is opened.
+Each check raises a `LinkError` for what prevents the link, and returns further findings; nothing is opened. What opens
+one raises a `LinkError` where an option or address is not valid, a package is missing, or the graph cannot be reached.
 """
 
 from __future__ import annotations
@@ -45,22 +46,14 @@ def check_ros1(name: RobotName) -> list[Finding]:
 
 
 def open_ros1_link(options: Mapping[str, str], clock: Clock, namespace: str = "") -> RobotLink:
-    """Join the graph of a `master`, or of ROS_MASTER_URI, and return the link to the robot of this namespace.
-
-    Raises:
-        LinkError: there is no such option, no master, or no rospy.
-    """
+    """Join the graph of a `master`, or of ROS_MASTER_URI, and return the link to the robot of this namespace."""
     from robot_runner.ros.ros1_transport import Ros1Transport  # noqa: PLC0415  # only where it is asked for
 
     return GraphLink(partial(Ros1Transport, master_of(options), receive_clock(clock)), namespace)
 
 
 def master_of(options: Mapping[str, str], *, timeout: float = 3.0) -> Master:
-    """Return the master that the options name.
-
-    Raises:
-        LinkError: there is no such option, or its value is not a valid address.
-    """
+    """Return the master that the options name; raise a `LinkError` if one is unknown, or is not an address."""
     check_options("ros1", options, ("master",))
     return Master(options.get("master"), timeout=timeout)
 
@@ -76,9 +69,6 @@ def open_ros2_link(options: Mapping[str, str], clock: Clock, namespace: str = ""
     """Join the graph of a `domain`, or of ROS_DOMAIN_ID, and return the link to the robot of this namespace.
 
     Where the run's clock is a simulation's, the node follows the time on `/clock`.
-
-    Raises:
-        LinkError: an option is not valid, no ROS 2 is sourced, or the graph cannot be joined.
     """
     domain = _domain(options)
     _check_rclpy()
@@ -109,19 +99,15 @@ def _check_rclpy() -> None:
     if importlib.util.find_spec("rclpy") is None and ros is not None and ros.distro == _HUMBLE:
         raise _unfitting(ros, "3.10")
     if importlib.util.find_spec("rclpy") is None:
-        raise LinkError(
-            "robot is reached over ROS 2, but rclpy cannot be imported",
-            where="robot",
-            fix=f"Source a ROS 2 whose Python is ours (source /opt/ros/jazzy/setup.bash), {_WITHOUT_ROS}.",
-        )
+        fix = f"Source a ROS 2 whose Python is ours (source /opt/ros/jazzy/setup.bash), {_WITHOUT_ROS}."
+        raise LinkError("robot is reached over ROS 2, but rclpy cannot be imported", where="robot", fix=fix)
 
 
 def _unfitting(ros: RosEnvironment | None, other: str) -> LinkError:
     """Return the error that the sourced ROS 2 is for another Python; it names the link that needs no rclpy."""
     distro = "" if ros is None or ros.distro is None else f" {ros.distro}"
-    domain = os.environ.get("ROS_DOMAIN_ID")
-    options = [f"distro={distro.strip()}"] if distro else []
-    name = "dds" + (":" + ",".join([*([f"domain={domain}"] if domain else []), *options]) if domain or options else "")
+    told = {"domain": os.environ.get("ROS_DOMAIN_ID"), "distro": distro.strip()}
+    name = ":".join(filter(None, ["dds", ",".join(f"{option}={value}" for option, value in told.items() if value)]))
     ours = ".".join(map(str, sys.version_info[:2]))
     return LinkError(
         f"the ROS 2{distro} that is sourced is for Python {other}, and this is {ours}",
@@ -142,11 +128,7 @@ def check_dds(name: RobotName) -> list[Finding]:
 
 
 def open_dds_link(options: Mapping[str, str], clock: Clock, namespace: str = "") -> RobotLink:
-    """Join the graph that the options name, as `DdsSettings` reads them, and return the link to the robot there.
-
-    Raises:
-        LinkError: an option is invalid, a package is missing, or the domain cannot be joined.
-    """
+    """Join the graph that the options name, as `DdsSettings` reads them, and return the link to the robot there."""
     settings = DdsSettings.of(options, os.environ)
     _check_installed("dds")
     from robot_runner.ros.dds_transport import DdsTransport  # noqa: PLC0415  # cyclonedds, an extra
@@ -166,11 +148,7 @@ def check_rosbridge(name: RobotName) -> list[Finding]:
 
 
 def open_rosbridge_link(url: str, clock: Clock, namespace: str = "") -> RobotLink:
-    """Connect to a rosbridge, whose address `RosbridgeAddress` reads, and return the link to the robot there.
-
-    Raises:
-        LinkError: the address is not valid, a package is missing, or the rosbridge cannot be reached.
-    """
+    """Connect to a rosbridge, whose address `RosbridgeAddress` reads, and return the link to the robot there."""
     address = RosbridgeAddress.parse(url)
     _check_installed("rosbridge")
     from robot_runner.ros.rosbridge_transport import RosbridgeTransport  # noqa: PLC0415  # cbor2 and rosbags, extras
@@ -199,7 +177,6 @@ def _readable_by_others(address: RosbridgeAddress) -> Finding:
 
 def _check_installed(extra: str) -> None:
     way, packages = _EXTRAS[extra]
-    missing = [package for package in packages if importlib.util.find_spec(package) is None]
-    if missing:
+    if missing := [package for package in packages if importlib.util.find_spec(package) is None]:
         problem = f"robot is reached {way}, but {enumerated(missing)} cannot be imported"
         raise LinkError(problem, where="robot", fix=f"Install it: pip install 'robot-runner[{extra}]'.")

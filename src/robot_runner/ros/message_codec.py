@@ -39,11 +39,9 @@ class MessageCodec:
     """
 
     def __init__(self, store: Typestore, *, signed_bytes: bool = False) -> None:
-        """Make a codec without converters.
+        """Make a codec for objects of this type store, without converters.
 
-        Args:
-            store: the type store of the objects.
-            signed_bytes: whether `byte` is an int8, as in ROS 1 and in type stores, and not an octet, as in ROS 2.
+        With `signed_bytes` a `byte` is an int8, as in ROS 1 and in type stores, and not an octet, as in ROS 2.
         """
         self._store = store
         self._octets = OCTETS - {"byte"} if signed_bytes else OCTETS

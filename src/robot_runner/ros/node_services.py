@@ -18,8 +18,7 @@ class NodeNotReadyError(LinkError):
 def full_node(link: RobotLink, node: str) -> str:
     """Return the full name of a node whose name may be relative to the link's namespace; `/` stays `/`.
 
-    Raises:
-        LinkError: the name is not valid.
+    A `LinkError` says that the name is not valid.
     """
     return node if node == "/" else full_name(getattr(link, "namespace", ""), node)
 

@@ -29,13 +29,10 @@ _CONSTANT = re.compile(r"^[ \t]*(?:w?string[ \t]+(\w+)[ \t]*=(.*)|\w+[ \t]+(\w+)
 
 
 class OpenedBag:
-    """The reader of a bag, and the types of its messages; a context manager.
+    """The reader of a `.bag`, `.mcap` or `.db3` file, or a folder of a bag of ROS 2, and the types of its messages.
 
     rosbags has a reader for both generations, too (`AnyReader`). It refuses a bag for one definition that it cannot
     parse, and in a folder it skips messages whose QoS differs between `metadata.yaml` and the file.
-
-    Args:
-        path: a `.bag`, `.mcap` or `.db3` file, or the folder of a bag of ROS 2.
 
     Attributes:
         encoding: of its messages; it follows from the generation of ROS.
@@ -119,7 +116,6 @@ class OpenedBag:
         return found
 
     def _types(self) -> Typestore:
-        """Return the types that the bag defines, and record the faults of the others."""
         from rosbags.interfaces import MessageDefinitionFormat  # noqa: PLC0415  # an extra
         from rosbags.typesys import Stores, get_typestore  # noqa: PLC0415  # an extra
 

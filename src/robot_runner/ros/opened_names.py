@@ -28,12 +28,7 @@ _STOPPING_SECONDS = 2.0
 
 @dataclass(slots=True)
 class Advertised:
-    """A topic that this link publishes with one QoS.
-
-    Attributes:
-        graph: that of its link.
-        is_commanded: whether velocities are known to have been commanded on it.
-    """
+    """A topic that this link publishes with one QoS, and whether velocities are known to have been commanded on it."""
 
     message_type: str
     shape: Shape
@@ -50,8 +45,8 @@ class Advertised:
     def command(self, topic: str) -> None:
         """Note that velocities are commanded on the topic, if its type has them, and tell the standby process."""
         if self.drives and not self.is_commanded:
+            tell_commanded(topic, self.message_type, self.graph)  # where that fails, nothing is published
             self.is_commanded = True
-            tell_commanded(topic, self.message_type, self.graph)
 
     @contextmanager
     def sending(self) -> Iterator[None]:
@@ -76,20 +71,12 @@ class Advertised:
         self.publisher.close()
 
     def command_zero(self, topic: str) -> None:
-        """Command zero on a topic on which a velocity was published.
-
-        Raises:
-            LinkError: it cannot be published.
-        """
+        """Command zero on a topic on which a velocity was published; raise a `LinkError` if it cannot be published."""
         with _telling(topic), self.sending():
             self.send(topic, completed(self.shape, {}, where=topic))
 
     def see_taken(self, topic: str) -> None:
-        """Check that the subscribers received the last command.
-
-        Raises:
-            LinkError: they did not, or the client library fails.
-        """
+        """Check that the subscribers received the last command; a `LinkError` says they did not, or it failed."""
         with _telling(topic):
             self.publisher.flush(_STOPPING_SECONDS)
 

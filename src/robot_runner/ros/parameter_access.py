@@ -96,11 +96,7 @@ def parameters_of(link: RobotLink, *, timeout: float = 5.0) -> ParameterAccess:
 
 
 def all_at_once(errors: Sequence[LinkError], *, where: str) -> None:
-    """Raise several errors as one; do nothing if there is none.
-
-    Raises:
-        LinkError: there is an error.
-    """
+    """Raise several errors as one `LinkError`; do nothing if there is none."""
     if len(errors) == 1:
         raise errors[0]
     if errors:
@@ -151,7 +147,6 @@ class NodeParameters:
         all_at_once(refused, where=self._full(node))
 
     def _checked(self, node: str, values: Mapping[str, Any]) -> tuple[list[dict[str, Any]], list[LinkError]]:
-        """Return the parameters as they are sent to the node, and errors for those that cannot be set."""
         described = self.described(node, list(values))
         wire, errors = [], []
         for name, value in values.items():
@@ -188,9 +183,8 @@ class NodeParameters:
 
     def _refused(self, node: str, name: str, reason: str) -> LinkError:
         told = reason or "it gives no reason"
-        return LinkError(
-            f"the node refuses the value: {told}", where=self._where(node, name), fix="Give another value."
-        )
+        fix = "Give another value."
+        return LinkError(f"the node refuses the value: {told}", where=self._where(node, name), fix=fix)
 
 
 class ServerParameters:
@@ -242,9 +236,8 @@ class ServerParameters:
         for name in names:
             if name not in there:
                 fix = did_you_mean(name, there, "See that the node reads a parameter of this name.")
-                found.append(
-                    (f"{self._key(node, name)} was not set before, and ROS 1 does not tell which node reads it", fix)
-                )
+                problem = f"{self._key(node, name)} was not set before, and ROS 1 does not tell which node reads it"
+                found.append((problem, fix))
         live = _reconfigurable(self._link, [self._key(node, name) for name in names])
         if len(live) < len(names) and full in self._link.nodes():
             problem = f"{full} is running already, and a node of ROS 1 reads most of its parameters when it starts"
@@ -295,15 +288,10 @@ def _reconfigurable(link: RobotLink, keys: Iterable[str]) -> set[str]:
 
 
 def _reconfigure(link: RobotLink, values: Mapping[str, ParameterValue], *, timeout: float) -> None:
-    """Set parameters of running nodes, by full names; nodes without dynamic_reconfigure are skipped.
-
-    Raises:
-        LinkError: a node does not answer in time, or `dynamic_reconfigure` is not installed where rospy needs it.
-    """
+    """Set parameters of running nodes, by full names; nodes without dynamic_reconfigure are skipped."""
     configs: dict[str, dict[str, list[dict[str, Any]]]] = {}
     for key in sorted(_reconfigurable(link, values)):
-        field = _CONFIG_FIELDS.get(kind_of(values[key]))
-        if field is not None:
+        if (field := _CONFIG_FIELDS.get(kind_of(values[key]))) is not None:
             entry = {"name": key.rpartition("/")[2], "value": values[key]}
             configs.setdefault(_service_of(key), {}).setdefault(field, []).append(entry)
     for service, config in configs.items():
@@ -317,8 +305,7 @@ def _service_of(key: str) -> str:
 def _fitting_server(value: Any, kind: ParameterKind, key: str) -> ParameterValue:
     """Return a value of the kind of the present one, or a number for a number: the server itself checks no kinds."""
     given = normal(value, where=key)
-    numbers = isinstance(given, int) and given not in _INT32
-    if numbers or (isinstance(given, list) and any(isinstance(each, int) and each not in _INT32 for each in given)):
+    if any(isinstance(each, int) and each not in _INT32 for each in (given if isinstance(given, list) else [given])):
         raise LinkError(f"{given!r} does not fit the 32 bits of ROS 1", where=key, fix="Give a smaller number.")
     widened = {ParameterKind.INTEGER: ParameterKind.DOUBLE, ParameterKind.INTEGER_ARRAY: ParameterKind.DOUBLE_ARRAY}
     if kind is ParameterKind.NOT_SET or kind_of(given) is widened.get(kind):

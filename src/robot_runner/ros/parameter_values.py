@@ -217,7 +217,6 @@ def _array(values: Iterable[Any], given: Any, where: str) -> Any:
 
 
 def _instead(value: ParameterValue, kind: ParameterKind) -> str:
-    """Return the value of the right kind that was probably meant."""
     if kind is ParameterKind.INTEGER and isinstance(value, float) and value.is_integer():
         return f": {int(value)}"
     if kind is ParameterKind.STRING and value is not None:

@@ -37,17 +37,12 @@ if TYPE_CHECKING:
 
 #: How far the time on a bag's `/clock` may be from that of its recording, s, before it counts as a simulation's.
 _SAME_TIME = 1.0
-
 _FIX = "Execute the run again with nothing else going on, or play the bag more slowly (rate)."
-
-
 #: By which variable each program finds its graph, and over which links a robot may be on that one.
 _GRAPH_OF_PROGRAM = {
     PROGRAMS[Encoding.ROS1]: ("ROS_MASTER_URI", {"ros1"}),
     PROGRAMS[Encoding.CDR]: ("ROS_DOMAIN_ID", {"ros2", "dds"}),
 }
-
-
 _OF_PROGRAM = (Measure("PlayTime", "s", "From the bag's first message until the program that played it had ended."),)
 
 
@@ -113,11 +108,8 @@ class PlayBag(RobotSystem):
             raise PluginError(f"by is {by!r}", where=self.name, fix=did_you_mean(str(by), list(_By)))
         self.path = Path(path)
         self.topics = None if topics is None else tuple(dict.fromkeys(topics))
-        self.rate = float(rate)
-        self.has_clock = clock
-        self.by = _By(by)
-        self.settle_s = settle_s
-        self.late_s = late_s
+        self.rate, self.has_clock, self.by = float(rate), clock, _By(by)
+        self.settle_s, self.late_s = settle_s, late_s
         if self.by is _By.PROGRAM:  # when it publishes each message is not known
             self.measures = _OF_PROGRAM
         self._bag: RecordedBag | None = None
@@ -135,7 +127,7 @@ class PlayBag(RobotSystem):
     def check(self, circumstances: Circumstances) -> Iterable[Finding]:
         """Yield what stands in the way: no robot, no such bag, nothing to play, no program, two clocks or times."""
         yield from robot_findings(self.name, circumstances)
-        tells_time = self.has_clock
+        tells_time, robot = self.has_clock, circumstances.robot
         try:
             with RecordedBag(self.path) as bag:
                 chosen = bag.chosen(self.topics)
@@ -150,13 +142,12 @@ class PlayBag(RobotSystem):
                 if self.by is _By.PROGRAM and shutil.which(PROGRAMS[bag.encoding]) is None:
                     problem = f"the program {PROGRAMS[bag.encoding]!r}, which plays this bag, is not there"
                     yield Finding.error(self._where, problem, "Source the setup file of ROS, or say by='link'.")
-                robot = circumstances.robot
                 if self.by is _By.PROGRAM and robot is not None and not is_of_environment(robot, bag.encoding):
                     yield _elsewhere(PROGRAMS[bag.encoding], self._where, robot)
         except PluginError as error:
             yield from (Finding.error(self._where, each.problem, each.fix) for each in error.findings)
-        if tells_time and circumstances.robot is not None and _lives_by_graph(circumstances.robot):
-            problem = f"the run lives by the time on {CLOCK} (robot = {circumstances.robot!r}), which this plugin tells"
+        if tells_time and robot is not None and RobotName.parse(robot).options.get("clock") == "graph":
+            problem = f"the run lives by the time on {CLOCK} (robot = {robot!r}), which this plugin tells"
             fix = "Leave clock=graph out of robot: the run takes this machine's time, and the nodes the bag's."
             yield Finding.error(self._where, problem, fix)
 
@@ -323,12 +314,8 @@ class PlayBag(RobotSystem):
         folder, played = context.raw_data_folder, self._played
         write_quality(folder / "bag.json", None, context.window, facts)
         if self.by is _By.LINK:
-            columns = [
-                Column("time_s", played.times),
-                Column("moment_s", played.moments),
-                Column("late_s", played.lateness),
-            ]
-            write_samples(folder / "played.csv", columns)
+            columns = {"time_s": played.times, "moment_s": played.moments, "late_s": played.lateness}
+            write_samples(folder / "played.csv", [Column(name, values) for name, values in columns.items()])
 
 
 def _command_zero(topic: RecordedTopic, context: RobotRunnerContext) -> None:
@@ -343,10 +330,6 @@ def _elsewhere(program: str, where: str, robot: str) -> Finding:
     if RobotName.parse(robot).link in links:  # of a rosbridge nothing tells which graph is behind it
         fix += f", or set {variable} to that of the robot"
     return Finding.error(where, problem, f"{fix}.")
-
-
-def _lives_by_graph(robot: str) -> bool:
-    return RobotName.parse(robot).options.get("clock") == "graph"
 
 
 @lru_cache(maxsize=32)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from types import MappingProxyType
 from typing import NamedTuple
 
@@ -11,9 +11,7 @@ from robot_runner.core.errors import LinkError
 from robot_runner.core.links.robot import Qos
 
 #: The depth of each profile: how many messages are queued for a slow subscriber; 0 for no limit (rmw/qos_profiles.h).
-DEPTHS: Mapping[Qos, int] = MappingProxyType(
-    {Qos.DEFAULT: 10, Qos.SENSOR_DATA: 5, Qos.RELIABLE: 0, Qos.TRANSIENT_LOCAL: 1}
-)
+DEPTHS = MappingProxyType({Qos.DEFAULT: 10, Qos.SENSOR_DATA: 5, Qos.RELIABLE: 0, Qos.TRANSIENT_LOCAL: 1})
 #: The depth of a subscription without a profile: one second at 1 kHz, for callbacks that take long.
 KEPT = 1000
 #: Durations that a middleware means by infinite begin here, ns: Fast DDS' has 2^31 - 1 s.

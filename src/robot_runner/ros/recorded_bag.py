@@ -11,7 +11,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple, Self
 
-from robot_runner.core.errors import PluginError, did_you_mean, nearest
+from robot_runner.core.errors import Finding, PluginError, did_you_mean, nearest
 from robot_runner.core.links.robot import Encoding, Message, Qos
 from robot_runner.core.storage.input_files import input_file
 from robot_runner.core.words import counted
@@ -67,13 +67,7 @@ class RecordedTopic:
 
 
 class RecordedMessage(NamedTuple):
-    """A message of a bag.
-
-    Attributes:
-        stamp_ns: when it was recorded, ns since the epoch.
-        topic: its full name.
-        message: as a mapping that follows its definition.
-    """
+    """A message of a bag: when it was recorded, ns since the epoch, its topic by full name, and its fields."""
 
     stamp_ns: int
     topic: str
@@ -81,14 +75,7 @@ class RecordedMessage(NamedTuple):
 
 
 class RecordedBag(OpenedBag):
-    """A bag that is open for reading; it is closed as a context manager.
-
-    Args:
-        path: a `.bag`, `.mcap` or `.db3` file, or the folder of a bag.
-
-    Attributes:
-        path: what was opened.
-        topics: by their full names.
+    """A bag at a path that is open for reading, and its topics by full names; it is closed as a context manager.
 
     Raises:
         PluginError: there is no bag, it cannot be read, or the library that reads it is not installed.
@@ -140,26 +127,22 @@ class RecordedBag(OpenedBag):
         faults = []
         for name in names or ():
             if name not in there:
-                near = did_you_mean(name, there)
                 problem = f"the bag has no messages on {name!r}"
-                faults.append(PluginError(problem, where=str(self.path), fix=near))
+                faults.append(Finding.error(str(self.path), problem, did_you_mean(name, there)))
         topics = [there[name] for name in (names or there) if name in there]
         left = [topic.name for topic in topics if not topic.problem]
         for topic in topics:
             if topic.problem:
                 others = f": topics={left}" if 0 < len(left) <= _FEW else " (topics=...)"
                 fix = f"Leave {topic.name} out{others}, or {topic.remedy}."
-                faults.append(PluginError(topic.problem, where=str(self.path), fix=fix))
-        if faults:
-            raise PluginError.of_findings([each.as_finding() for each in faults])
+                faults.append(Finding.error(str(self.path), topic.problem, fix))
+        PluginError.refuse(faults)
         return topics
 
     def messages(self, topics: Sequence[RecordedTopic], encoding: Encoding) -> Iterator[RecordedMessage]:
-        """Yield the messages of topics, in the order in which they were recorded.
+        """Yield the messages of topics of this bag, in the order in which they were recorded.
 
-        Args:
-            topics: of this bag.
-            encoding: of the link that they are for; one of the other generation takes headers without numbers.
+        For a link whose encoding is that of the other generation, headers come without numbers.
 
         Raises:
             PluginError: the bag breaks off, or a message does not follow its definition.
@@ -240,9 +223,8 @@ def bag_at(path: Path) -> Path:
     if not path.exists():
         beside = [each.name for each in path.parent.iterdir()] if path.parent.is_dir() else []
         near = nearest(path.name, beside)
-        fix = (
-            f"Did you mean {str(path.with_name(near))!r}?" if near else "Name a .bag, .mcap or .db3 file, or a folder."
-        )
+        meant = near and f"Did you mean {str(path.with_name(near))!r}?"
+        fix = meant or "Name a .bag, .mcap or .db3 file, or a folder."
         raise PluginError(f"there is no bag {str(path)!r}", where=str(path), fix=fix)
     for each in path.iterdir() if path.is_dir() else [path]:
         if each.exists() and not (each.is_file() or each.is_dir()):  # a named pipe would be awaited for ever
@@ -270,11 +252,7 @@ def bag_at(path: Path) -> Path:
 
 
 def _check_merged(path: Path) -> None:
-    """See that nothing of a bag is in SQLite's log beside it, which rosbags passes over.
-
-    Raises:
-        PluginError: there is.
-    """
+    """Refuse a bag of which a part is in SQLite's log beside it, which rosbags passes over."""
     for file in _files(path):
         log = file.with_name(f"{file.name}-wal")
         if log.is_file() and log.stat().st_size:
@@ -291,7 +269,6 @@ def _files(path: Path) -> list[Path]:
 
 
 def _repair(path: Path) -> str:
-    """Return what helps with a bag that cannot be read."""
     files = _files(path)
     if not files:
         return f"Bring the files that {_METADATA} names, or record it again."

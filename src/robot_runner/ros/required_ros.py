@@ -49,7 +49,6 @@ def _other_generation(name: RobotName | None) -> Iterator[Finding]:
 
 
 def _hosts(plugins: Sequence[Plugin]) -> Iterator[tuple[str, Path | None]]:
-    """Yield the robot's computers that plugins name, each with its ssh config."""
     for plugin in plugins:
         host = getattr(plugin, "host", None)
         if isinstance(host, str) and host != LOCAL:
@@ -92,7 +91,6 @@ class _Check:
         yield from self._of_robot(found, hosts)
 
     def _of_robot(self, found: list[RosEnvironment], hosts: Sequence[tuple[str, Path | None]]) -> Iterator[Finding]:
-        """Yield findings on the ROS of the robot itself."""
         fix = f"Reach a robot that has {self._wanted}, {_ON_SIMULATED}."
         told: list[RosEnvironment] = []
         try:
@@ -151,7 +149,6 @@ class _Check:
 
 
 def _told(robot: RobotName | None) -> list[RosEnvironment]:
-    """Return the ROS that the robot's name implies."""
     if robot is None:
         return []
     if robot.address is not None:

@@ -39,16 +39,9 @@ class RestoredSettings(OfTheRobot, System):
     failed. If the run was killed, its standby process does so; if that was killed as well, the next run with a plugin
     of this class on this robot.
 
-    Args:
-        settings: the values to be set, by node and by name.
-        name: tells several instances apart; the class's name if left out.
-        namespace: which robot, where there are several.
-        patience: how long a node may take to appear on the graph before a run starts, s.
-        timeout: of each answer of a node, s.
-
-    Attributes:
-        kind: the kind of settings, in the plural; names the file of raw data.
-        settings: the values to be set.
+    `settings` are the values to be set, by node and by name; `kind` is that of the settings, in the plural, and names
+    the file of raw data. A node may take `patience` (s) to appear before a run starts, and `timeout` (s) for each
+    answer.
     """
 
     kind: ClassVar[str]
@@ -192,7 +185,7 @@ class RestoredSettings(OfTheRobot, System):
         wanted, there = kept.wanted[node], self.known(link, node, list(before))
         now = self.read(link, node, there) if there else {}
         gone = [name for name in before if name not in there]
-        odd = [name for name in there if not _is_among(now[name], before[name], wanted[name])]
+        odd = [name for name in there if not any(same_value(now[name], each[name]) for each in (before, wanted))]
         if context is not None:
             self._note(context, "after", {node: now})
             self._doubt_changed(context, node, wanted, now)
@@ -209,8 +202,7 @@ class RestoredSettings(OfTheRobot, System):
         kept_on = [name for name in names if before[name] is None and link.encoding is Encoding.CDR]
         for name in kept_on:
             yield f"{name} of {node} had no value before the run, and keeps {now[name]!r}", _RESTART
-        back = {name: before[name] for name in names if name not in kept_on}
-        if back:
+        if back := {name: before[name] for name in names if name not in kept_on}:
             self.write(link, node, back)
             found = self.read(link, node, list(back))
             if context is not None:
@@ -233,7 +225,6 @@ class RestoredSettings(OfTheRobot, System):
                 context.broker.doubt_run(context.owner, problem, "Find out what else sets it.")
 
     def _awaited(self, context: RobotRunnerContext, link: RobotLink, wanted: Settings) -> Settings:
-        """Return the values before the run, as soon as the nodes are there."""
         deadline = context.clock.now() + self.patience
         while True:
             try:
@@ -256,7 +247,6 @@ class RestoredSettings(OfTheRobot, System):
         return found
 
     def _note(self, context: RobotRunnerContext, when: str, settings: Settings) -> None:
-        """Write the settings at a moment of the run to the raw data."""
         for node, values in settings.items():
             for name, value in values.items():
                 self._facts.setdefault(node, {}).setdefault(name, {})[when] = to_json(value)
@@ -280,10 +270,6 @@ def left_findings(where: str, robot: str, plugins: Sequence[Plugin]) -> Iterator
 def _left(kept: KeptSettings) -> str:
     what, who = f"{kept.kind} of {enumerated(kept.before)}", f"{kept.plugin} set them in process {kept.owner[0]}"
     return f"{what} are still as {who}, which did not put them back"
-
-
-def _is_among(value: ParameterValue, *others: ParameterValue) -> bool:
-    return any(same_value(value, other) for other in others)
 
 
 def _is_unchanged(now: ParameterValue, before: ParameterValue) -> bool:

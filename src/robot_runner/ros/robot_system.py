@@ -101,10 +101,7 @@ class RobotSystem(OfTheRobot, System):
     ) -> None:
         """Doubt the mission where a subscriber is not connected, as one of ROS 1 with another version of the type.
 
-        Args:
-            context: of the run.
-            link: over which the mission has published.
-            topics: name, type and QoS of each; the first one with such a subscriber is reported.
+        Topics are given by name, type and QoS; the first one with such a subscriber is reported.
         """
         for topic, message_type, qos in topics:
             try:

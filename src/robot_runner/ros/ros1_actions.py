@@ -196,8 +196,7 @@ class _Client:
         self._heard_at = time.monotonic()
         self._heard.set()
         for told in reception.message()["status_list"]:
-            goal = self._find(told)
-            if goal is not None:
+            if (goal := self._find(told)) is not None:
                 self._listed[goal.key] = self._heard_at
                 status = _STATES.get(told["status"], GoalStatus.UNKNOWN)
                 goal.note(status)
@@ -235,15 +234,13 @@ class _Client:
 
     def _take_feedback(self, reception: Reception) -> None:
         message = reception.message()
-        goal = self._find(message["status"])
-        if goal is not None:
+        if (goal := self._find(message["status"])) is not None:
             goal.take_feedback(message["feedback"])
 
     def _take_result(self, reception: Reception) -> None:
         message = reception.message()
         told = message["status"]
-        goal = self._find(told)
-        if goal is not None:
+        if (goal := self._find(told)) is not None:
             self._forget(goal)
             goal.finish(ActionResult(_STATES.get(told["status"], GoalStatus.UNKNOWN), message["result"], told["text"]))
 

@@ -30,13 +30,7 @@ _URI = "ROS_MASTER_URI"
 
 @dataclass(frozen=True, slots=True)
 class SystemState:
-    """The publishers, subscribers and services of a graph, by full names.
-
-    Attributes:
-        publishers: the nodes that publish each topic.
-        subscribers: the nodes that subscribe each topic.
-        services: the nodes that offer each service.
-    """
+    """The nodes that publish, subscribe and offer each topic and service of a graph, by full names."""
 
     publishers: Mapping[str, tuple[str, ...]]
     subscribers: Mapping[str, tuple[str, ...]]
@@ -50,10 +44,7 @@ class SystemState:
 
 
 def master_address(uri: str) -> tuple[str, int]:
-    """Return the host and the port of a master.
-
-    Raises:
-        LinkError: the URI is not valid.
+    """Return the host and the port of a master; raise a `LinkError` if the URI is not valid.
 
     Example:
         >>> master_address("http://robot:11311/")
@@ -66,23 +57,16 @@ def master_address(uri: str) -> tuple[str, int]:
         host = port = None
         parts = urlsplit("")
     if parts.scheme != "http" or not host or not port:
-        raise LinkError(
-            f"{uri!r} cannot be the address of a ROS master",
-            where=_URI,
-            fix="Write it as in ROS_MASTER_URI=http://robot:11311, or robot = 'ros1:master=http://robot:11311'.",
-        )
+        fix = "Write it as in ROS_MASTER_URI=http://robot:11311, or robot = 'ros1:master=http://robot:11311'."
+        raise LinkError(f"{uri!r} cannot be the address of a ROS master", where=_URI, fix=fix)
     return host, port
 
 
 class Master:
-    """A master, which may be on another computer.
+    """A master, which may be on another computer, at a URI; None for that in ROS_MASTER_URI.
 
-    Each request has a deadline, and raises a `LinkError` where there is no master or node, where it does not answer in
-    time, where what answers is none, and where the master refuses to set or to delete a parameter.
-
-    Args:
-        uri: None for that in ROS_MASTER_URI.
-        timeout: of an answer, s.
+    Each request has a deadline (s), and raises a `LinkError` where there is no master or node, where it does not answer
+    in time, where what answers is none, and where the master refuses to set or to delete a parameter.
 
     Raises:
         LinkError: the URI cannot be that of a master.
@@ -134,12 +118,7 @@ class Master:
         return self._found("lookupService", name)
 
     def pid_of(self, node: str, *, timeout: float | None = None) -> int | None:
-        """Return the process id of a node, as the node reports it, or None where there is no such node.
-
-        Args:
-            node: its full name.
-            timeout: of the node's answer, s; None for that of the master.
-        """
+        """Return the process id of a node, as it reports it within `timeout` (s), or None if there is no such node."""
         uri = self.uri_of(node)
         try:
             return None if uri is None else Master(uri, timeout=timeout or self._timeout).pid()
@@ -192,9 +171,8 @@ class Master:
         """Return what a master answers; `shape` converts it, or raises where no master answers so."""
         code, status, value = self._answer(method, *arguments)
         if code != _SUCCESS:
-            raise LinkError(
-                f"the ROS master refuses {method}: {status}", where=self.uri, fix="Look at the master's log."
-            )
+            fix = "Look at the master's log."
+            raise LinkError(f"the ROS master refuses {method}: {status}", where=self.uri, fix=fix)
         with self._as_link_error():
             return shape(value)
 

@@ -63,11 +63,7 @@ def join_graph(master: Master) -> Any:
 def within(action: Callable[[], T], *, where: str, doing: str, timeout: float = _REGISTERING) -> T:
     """Call a function of rospy with a deadline, as rospy's requests to the master have none; return its result.
 
-    Args:
-        action: the function.
-        where: the topic or service.
-        doing: what the function does, for the error.
-        timeout: how long to wait, s; after that the call goes on in its thread.
+    After the timeout (s) the call goes on in its thread; `where` and `doing` say for the error where and what it does.
 
     Raises:
         LinkError: it takes too long.
@@ -94,16 +90,11 @@ def within(action: Callable[[], T], *, where: str, doing: str, timeout: float = 
 
 @contextmanager
 def completed_first(topic: str, kind: str, complete: Callable[[Any], object]) -> Iterator[None]:
-    """Have rospy complete a publisher or subscriber before it registers it at the master, for a while.
+    """Have rospy complete a publisher (`pub`) or subscriber (`sub`) before it registers it at the master, for a while.
 
     rospy registers first, and sets the options afterwards: depth of the queue, latching, no delay of small messages. A
     node that connects in between would be served without them: without a queue, a subscriber that hangs would block the
-    publisher.
-
-    Args:
-        topic: its absolute name.
-        kind: `pub` for a publisher, `sub` for a subscriber.
-        complete: called with rospy's implementation of the topic.
+    publisher. So `complete` is called with rospy's implementation of the topic, which is given by its absolute name.
     """
     registration = import_module("rospy.impl.registration")
 
@@ -183,27 +174,17 @@ def _rospy() -> Any:
 
 def _check_process() -> None:
     if _Joined.process != os.getpid():
-        raise LinkError(
-            "the orchestrating process is a ROS node already, which a run's process cannot be as well",
-            where="ros1",
-            fix="Connect to the robot within the run's events: from start_run on.",
-        )
+        problem = "the orchestrating process is a ROS node already, which a run's process cannot be as well"
+        raise LinkError(problem, where="ros1", fix="Connect to the robot within the run's events: from start_run on.")
 
 
 def _move(master: Master) -> None:
-    """Become a node of another master, which rospy does not provide for; nothing may be open at the one before.
-
-    Raises:
-        LinkError: something is open.
-    """
+    """Become a node of another master, which rospy does not provide for; nothing may be open at the one before."""
     registration = import_module("rospy.impl.registration")
     topics, services = registration.get_topic_manager(), registration.get_service_manager()
     if topics.pubs or topics.subs or services.get_services():
-        raise LinkError(
-            f"this process is a node of the master {_Joined.master}, and {master.uri} is another",
-            where="ros1",
-            fix="Name the same master for all robots of the experiment.",
-        )
+        problem = f"this process is a node of the master {_Joined.master}, and {master.uri} is another"
+        raise LinkError(problem, where="ros1", fix="Name the same master for all robots of the experiment.")
     for listener in registration.get_registration_listeners().listeners:
         listener.master_uri = master.uri
     os.environ["ROS_MASTER_URI"] = _Joined.master = master.uri

@@ -44,14 +44,9 @@ _sender = OwnThread()
 
 
 class Publisher:
-    """Publishes one topic; an existing subscriber receives the first message.
+    """Publishes one topic with rospy; an existing subscriber receives the first message.
 
-    Args:
-        rospy: the module, after this process has joined the graph.
-        topic: its full name.
-        cls: rospy's class of its messages.
-        qos: how they are delivered.
-        subscribers: returns the subscribers that the master knows.
+    `cls` is rospy's class of its messages; `subscribers` returns those that the master knows.
 
     Raises:
         LinkError: it cannot be registered.
@@ -107,8 +102,7 @@ class Publisher:
     def flush(self, seconds: float) -> None:
         """Return once the connected subscribers have the messages, as far as this machine can know.
 
-        Raises:
-            LinkError: a subscriber does not receive them, or has lost its connection; or rospy was shut down.
+        It raises a `LinkError` if one does not receive them, or has lost its connection; or rospy was shut down.
         """
         deadline = time.monotonic() + seconds
         connections = list(self._publisher.impl.connections)
@@ -160,11 +154,7 @@ class Publisher:
 
 
 class _Arrivals:
-    """Notices when a subscriber connects; rospy calls it.
-
-    Attributes:
-        last: when the last one connected, on the monotonic clock, s.
-    """
+    """Notices when a subscriber connects, the `last` on the monotonic clock (s); rospy calls it."""
 
     def __init__(self) -> None:
         self._arrived = threading.Event()

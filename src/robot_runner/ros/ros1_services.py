@@ -35,12 +35,10 @@ class _Connection:
         drop_undelivered(self._socket)  # a request that was given up must not take effect later
 
     def send(self, data: bytes) -> None:
-        """Send bytes, preceded by their length."""
         self._keep_deadline()
         self._socket.sendall(_LENGTH.pack(len(data)) + data)
 
     def block(self) -> bytes:
-        """Receive bytes that are preceded by their length."""
         return self.exactly(_LENGTH.unpack(self.exactly(_LENGTH.size))[0])
 
     def exactly(self, count: int) -> bytes:
@@ -93,11 +91,7 @@ def call_service(name: str, uri: str, cls: Any, request: Any, *, timeout: float)
 
 
 def service_type(name: str, uri: str, *, timeout: float) -> str:
-    """Return the type of a service.
-
-    Raises:
-        LinkError: it cannot be reached or does not answer in time.
-    """
+    """Return the type of a service; raise a `LinkError` if it cannot be reached or does not answer in time."""
     with _connected(name, uri, timeout) as connection:
         return _greet(connection, {"service": name, "md5sum": "*", "probe": "1"}).get("type", "")
 
@@ -120,7 +114,6 @@ def _connected(name: str, uri: str, timeout: float) -> Iterator[_Connection]:
 
 
 def _greet(connection: _Connection, fields: Mapping[str, str]) -> dict[str, str]:
-    """Send the connection header and return that of the other side."""
     header = [f"{name}={value}".encode() for name, value in {"callerid": _CALLER, **fields}.items()]
     connection.send(b"".join(_LENGTH.pack(len(field)) + field for field in header))
     return _fields(connection.block())

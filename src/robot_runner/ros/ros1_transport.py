@@ -44,12 +44,9 @@ _START = "Start the node that offers it."
 
 
 class Ros1Transport:
-    """The primitives of a graph link over rospy.
+    """The primitives of a graph link over rospy; raises a `LinkError` if there is no such master, or no rospy.
 
     Every topic is received as bytes and decoded here, so that a recorder and a callback share one connection.
-
-    Raises:
-        LinkError: there is no such master, or no rospy.
     """
 
     has_threads = True
@@ -58,7 +55,7 @@ class Ros1Transport:
     def __init__(self, master: Master, now_ns: Callable[[], int]) -> None:
         self.types = Ros1Types()
         self.actions = Ros1Actions(self)
-        self._master = master
+        self._master = self.parameter_server = master
         self._now_ns = now_ns
         self._rospy = join_graph(master)
 
@@ -187,11 +184,6 @@ class Ros1Transport:
             self._master.forget(node)
         return is_here
 
-    @property
-    def parameter_server(self) -> Master:
-        """The master, which has the parameter server."""
-        return self._master
-
     def wait(self, event: threading.Event, seconds: float) -> None:
         """Wait at most `seconds` for an event."""
         event.wait(seconds)
@@ -279,7 +271,6 @@ class _Subscription:
         self._subscriber = transport.open_subscriber(topic, self._take)
 
     def connect(self, publishers: Sequence[str]) -> None:
-        """Wait until these nodes send to us, or the timeout has passed."""
         until(lambda: self._subscriber.get_num_connections() >= len(publishers), CONNECTING, every=POLL)
         # Our side is connected; a publisher begins to send a little later, and not every one reports that.
         until(lambda: self._transport.is_served(self._topic, publishers), _TELLING_SECONDS, every=POLL)

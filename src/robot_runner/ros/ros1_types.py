@@ -73,11 +73,7 @@ def _generated(message_type: str, text: str) -> Any:
 
 
 def service_class(service_type: str) -> Any:
-    """Return the class of a service type, such as `std_srvs/Trigger`.
-
-    Raises:
-        LinkError: as `message_class`.
-    """
+    """Return the class of a service type, such as `std_srvs/Trigger`; raise a `LinkError` as `message_class` does."""
     return generated_class(service_type, TypeKind.SERVICE, _is_type)
 
 

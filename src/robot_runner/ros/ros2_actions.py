@@ -146,14 +146,12 @@ class _Client:
 
     def _take_feedback(self, reception: Reception) -> None:
         message = reception.message()
-        goal = self._find(message)
-        if goal is not None:
+        if (goal := self._find(message)) is not None:
             goal.take_feedback(message["feedback"])
 
     def _take_status(self, reception: Reception) -> None:
         for told in reception.message()["status_list"]:
-            goal = self._find(told["goal_info"])
-            if goal is not None:
+            if (goal := self._find(told["goal_info"])) is not None:
                 self._note(goal, GOAL_STATES.get(told["status"], GoalStatus.UNKNOWN))
 
     def _note(self, goal: SentGoal, status: GoalStatus) -> None:

@@ -45,8 +45,7 @@ _shared: dict[tuple[int, int | None, bool], GraphNode] = {}
 def join_graph(domain: int | None, *, use_sim_time: bool, is_shared: bool = True) -> GraphNode:
     """Return a node on the graph of a domain, or the one that this process shares; leave it once for each call.
 
-    Raises:
-        LinkError: the domain cannot be joined.
+    If the domain cannot be joined, that is a `LinkError`.
     """
     key = (os.getpid(), domain, use_sim_time)  # a node does not survive a fork
     with _lock:
@@ -63,14 +62,10 @@ class GraphNode:
     """A separate context, a node in it, and the threads that spin it and execute callbacks.
 
     The node is made once something is opened on it: a process that only looks at the graph, or is a standby, has only a
-    hidden node, whose name begins with an underscore. Callbacks are executed in a thread that does not spin, so that
-    they may call services; there is one for each lane, so that no callback delays what is measured, or the end of a
-    goal. Offered services have a node of their own, with an executor of several threads: a slow service
-    must delay neither messages and responses nor other services.
-
-    Attributes:
-        users: how many links use it.
-        hidden: the node for queries about the graph; it is not spun.
+    hidden node, whose name begins with an underscore, and which is not spun. Callbacks are executed in a thread that
+    does not spin, so that they may call services; there is one for each lane, so that no callback delays what is
+    measured, or the end of a goal. Offered services have a node of their own, with an executor of several threads: a
+    slow service must delay neither messages and responses nor other services. `users` is how many links use it.
     """
 
     def __init__(self, domain: int | None, *, use_sim_time: bool, forget: Callable[[], object]) -> None:
@@ -87,11 +82,8 @@ class GraphNode:
             self.hidden = self._new_node("_robot_runner", use_sim_time=False)
         except Exception as error:  # the class depends on the middleware
             self._context.try_shutdown()
-            raise LinkError(
-                f"the graph of ROS 2 cannot be joined: {error}",
-                where="robot",
-                fix="Look at ROS_DOMAIN_ID and RMW_IMPLEMENTATION, and whether the network is up.",
-            ) from error
+            fix = "Look at ROS_DOMAIN_ID and RMW_IMPLEMENTATION, and whether the network is up."
+            raise LinkError(f"the graph of ROS 2 cannot be joined: {error}", where="robot", fix=fix) from error
         self._joined = time.monotonic()
         self._callers = {lane: _Caller() for lane in Lane}
 
@@ -232,7 +224,6 @@ class _Spinning:
                     _logger.exception("a callback of %s raised", self._node.get_name())
 
     def end(self) -> None:
-        """Stop spinning, and remove the node from the graph."""
         self._is_over.set()
         self._executor.wake()
         if threading.current_thread() is not self._thread:

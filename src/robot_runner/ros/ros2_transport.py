@@ -60,13 +60,10 @@ _ACKNOWLEDGING = 3.5
 
 
 class Ros2Transport:
-    """The primitives of a graph link over rclpy.
+    """The primitives of a graph link over rclpy, on a DDS domain; None for what ROS_DOMAIN_ID says.
 
-    Args:
-        domain: DDS domain id; None for what ROS_DOMAIN_ID says.
-        now_ns: the time that raw messages are stamped with.
-        use_sim_time: whether the node follows the time on `/clock`.
-        is_shared: whether its node is that of the process.
+    Raw messages are stamped with `now_ns`; with `use_sim_time` the node follows the time on `/clock`; `is_shared` says
+    whether the node is that of the process.
 
     Raises:
         LinkError: the graph cannot be joined.
@@ -259,8 +256,7 @@ class _Subscription:
     def explain(self) -> str:
         if self._mismatch:
             return self._mismatch
-        publishers = self._graph.publishers(self._topic)
-        if publishers:
+        if publishers := self._graph.publishers(self._topic):
             return silent_publishers(each.node_name for each in publishers)
         return nobody_publishes(self._topic, self._graph.topics())
 
@@ -292,13 +288,10 @@ class _Subscription:
                 self._node.node.destroy_subscription(former)
 
     def _check_offer(self, publisher: Any) -> None:
-        less = self._asked.shortfall(policies_of(publisher.qos_profile))
-        if less is not None:
-            raise LinkError(
-                f"the publisher {_owner(publisher)} offers less than is asked for: {less}",
-                where=self._topic,
-                fix="Leave qos out, so that the subscription fits its publishers.",
-            )
+        if (less := self._asked.shortfall(policies_of(publisher.qos_profile))) is not None:
+            problem = f"the publisher {_owner(publisher)} offers less than is asked for: {less}"
+            fix = "Leave qos out, so that the subscription fits its publishers."
+            raise LinkError(problem, where=self._topic, fix=fix)
 
 
 class _Client:

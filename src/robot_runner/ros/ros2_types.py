@@ -41,11 +41,7 @@ def message_class(message_type: str) -> Any:
 
 
 def service_class(service_type: str) -> Any:
-    """Return the class of a service type, such as `std_srvs/Trigger`.
-
-    Raises:
-        LinkError: as `message_class`.
-    """
+    """Return the class of a service type, such as `std_srvs/Trigger`; raise a `LinkError` as `message_class` does."""
     part = _action_part(service_type)
     return generated_class(service_type, TypeKind.SERVICE, _is_service) if part is None else part
 
@@ -97,8 +93,7 @@ def _field(name: str, written: Any, example: Any) -> Field:
 def _count(written: Any) -> int | UpTo | None:
     if not hasattr(written, "value_type"):
         return None
-    size = getattr(written, "size", None)
-    if size is not None:
+    if (size := getattr(written, "size", None)) is not None:
         return int(size)
     limit = getattr(written, "maximum_size", None)
     return UNBOUNDED if limit is None else UpTo(int(limit))
@@ -192,19 +187,15 @@ def _text(type_name: str) -> str:
     try:
         text = (_share_folder(package) / folder / f"{name}.{folder}").read_text(encoding="utf-8")
     except (LookupError, OSError) as error:
-        raise LinkError(
-            f"the package {package!r} has no text of the definition: {error}",
-            where=type_name,
-            fix="Install the package with its share folder.",
-        ) from error
+        problem = f"the package {package!r} has no text of the definition: {error}"
+        raise LinkError(problem, where=type_name, fix="Install the package with its share folder.") from error
     return text if whole == type_name else action_parts(2, whole, text, where=whole)[stored_name(type_name)]
 
 
 def _share_folder(package: str) -> Path:
     """Return the folder of a package's definitions; a ROS 2 installed by pip is found without being sourced.
 
-    Raises:
-        LookupError: no sourced ROS 2 has the package.
+    Where no sourced ROS 2 has it, that is a `LookupError`.
     """
     if not os.environ.get("AMENT_PREFIX_PATH"):
         return Path(sys.prefix, "share", package)

@@ -36,13 +36,7 @@ _HOST_SECONDS = 5.0
 
 @dataclass(frozen=True, slots=True)
 class RosEnvironment:
-    """A ROS that was found.
-
-    Attributes:
-        version: the generation: 1 or 2.
-        distro: the distribution, such as `noetic`, or None where it is not known.
-        source: where this was read.
-    """
+    """A ROS that was found: generation, distribution (None where that is not known), and where this was read."""
 
     version: int
     distro: str | None
@@ -90,11 +84,7 @@ def installed_ros() -> RosEnvironment | None:
 
 
 def ros_of_master(master: Master) -> RosEnvironment:
-    """Return the ROS of a graph of ROS 1, from the parameters that roslaunch sets: `/rosdistro` and `/rosversion`.
-
-    Raises:
-        LinkError: there is no such master.
-    """
+    """Return the ROS of a graph of ROS 1, from the parameters that roslaunch sets: `/rosdistro` and `/rosversion`."""
     distro = str(master.parameter("/rosdistro") or "").strip()
     version = str(master.parameter("/rosversion") or "").strip()
     if distro.casefold() in _ROS1_NAMES:  # Debian's says "Debian"
@@ -107,9 +97,7 @@ def ros_of_master(master: Master) -> RosEnvironment:
 def ros_of_host(host: str, *, config: Path | None = None) -> list[RosEnvironment]:
     """Return the distributions of ROS that are installed on a robot's computer, below /opt/ros.
 
-    Args:
-        host: as ssh takes it.
-        config: a file to use in place of the user's ssh config.
+    The host is given as for ssh, with a file in place of the user's ssh config.
 
     Raises:
         LinkError: it cannot be reached.
@@ -119,8 +107,7 @@ def ros_of_host(host: str, *, config: Path | None = None) -> list[RosEnvironment
         done = execute(command, timeout=_HOST_SECONDS)
     except (subprocess.TimeoutExpired, OSError) as error:
         raise _unreached(host, f"the host does not answer within {_HOST_SECONDS:g} s") from error
-    answer = failure(done)
-    if answer is not None:
+    if (answer := failure(done)) is not None:
         raise _unreached(host, gist(answer), fix=remedy(host, answer))
     names = (line.split("/")[3] for line in done.stdout.decode(errors="replace").split() if line.count("/") > 3)  # noqa: PLR2004 - /opt/ros/name/
     return [
@@ -205,8 +192,7 @@ def found_robot() -> FoundRobot:
         LinkError: there is none; the message says what was looked for.
     """
     for look in _LOOKS:
-        found = look()
-        if found is not None:
+        if (found := look()) is not None:
             return found
     raise LinkError(
         "robot is 'auto', and no robot is found: no ROS is sourced, no ROS 1 master answers, no server listens at "

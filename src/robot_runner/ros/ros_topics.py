@@ -60,16 +60,14 @@ class RosTopics(TopicProfiler):
         check_numbers(self.name, may_be_zero=True, patience=patience)
         self.namespace = namespace
         self.patience = patience
-        labels = _labels(self.topics, self.name)
+        self._labels = labels = _labels(self.topics, self.name)
         self.losses = losses
         self._kinds = tuple(kind for kind in _KINDS if losses or kind != DROPPED)
         self.measures: Sequence[Measure] = [
             measure for topic, label in labels.items() for measure in _measures(topic, label, self._kinds)
         ]
-        self.bytes_per_run = sum(
-            round((rate or 50.0) * _MISSION_SECONDS * _LINE_BYTES) for rate in self.topics.values()
-        )
-        self._labels = labels
+        rates = self.topics.values()
+        self.bytes_per_run = sum(round((rate or 50.0) * _MISSION_SECONDS * _LINE_BYTES) for rate in rates)
         self._received: dict[str, ReceivedTopic] = {}
         self._subscriptions: list[Subscription] = []
         self._live: list[LiveSamples] = []
@@ -156,8 +154,7 @@ class RosTopics(TopicProfiler):
                 fix = _CLOCKS_FIX if received.is_ahead else _FIX
                 context.doubt(f"topic {topic}: {problem}", fix=fix, measures=doubted)
             ages = [received.label + kind for kind in ("Age", "MaxAge")]
-            old = received.age_doubt()
-            if old is not None:
+            if (old := received.age_doubt()) is not None:
                 fix = "Go without them: the rest is counted here."
                 if received.is_behind and not received.is_of_another_time:
                     fix = f"{_CLOCKS_FIX} Of a recording, go without ages: the rest is counted here."

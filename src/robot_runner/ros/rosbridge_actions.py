@@ -110,8 +110,7 @@ class RosbridgeActions:
         return action in self._rosapi.action_servers()
 
     def _take(self, operation: Mapping[str, Any]) -> None:
-        served = self._served.get(str(operation.get("action")))
-        if served is not None:
+        if (served := self._served.get(str(operation.get("action")))) is not None:
             served.take(operation)
 
 
@@ -178,7 +177,6 @@ class _Client:
         connection.send({**operation, "args": to_protocol(self._types.goal, goal)})
 
     def _check(self, sent: SentGoal, connection: Session, timeout: float) -> None:
-        """Raise a `LinkError` where a goal was not accepted."""
         fault = sent.fault
         if fault is None and sent.status is GoalStatus.UNKNOWN:
             sent.is_abandoned = True
@@ -306,7 +304,6 @@ class _Served:
             self._graph.session.request({"op": "unadvertise_action", "action": self._action}, where=self._action)
 
     def take(self, operation: Mapping[str, Any]) -> None:
-        """Handle a goal, or a cancel request."""
         key = str(operation.get("id"))
         with self._lock:
             execution = self._server.find(key)

@@ -13,13 +13,10 @@ from robot_runner.ros.rosbridge_session import Reply, Session
 
 
 class Callers:
-    """Calls services, each over a connection that is not used for anything else meanwhile.
+    """Calls services, each over a connection that is not used for anything else meanwhile, and that `connect` opens.
 
     By default a server of ROS 2 handles nothing else of a connection until the service has answered, and waits for ever
     for one that hangs: a stop command would wait behind it. A connection without an answer in time is closed.
-
-    Args:
-        connect: opens a connection.
     """
 
     def __init__(self, connect: Callable[[], Session]) -> None:
@@ -34,11 +31,7 @@ class Callers:
         return self.calls([(service, request)], timeout=timeout, where=where)[0]
 
     def calls(self, questions: list[tuple[str, Mapping[str, Any]]], *, timeout: float, where: str) -> list[Reply]:
-        """Call services all at once, and return their answers, in the protocol's form.
-
-        Raises:
-            LinkError: one of them does not answer in time, or the server cannot be reached.
-        """
+        """Call services all at once, and return their answers in the protocol's form; a `LinkError` if one is late."""
         with self._taken(where) as caller:
             return caller.calls(questions, timeout=timeout, where=where)
 

@@ -142,11 +142,7 @@ def to_protocol(shape: Shape, message: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def from_protocol(shape: Shape, message: object, *, where: str) -> dict[str, Any]:
-    """Return a message of the protocol as a plain mapping.
-
-    Raises:
-        LinkError: it is not a message of this type.
-    """
+    """Return a message of the protocol as a plain mapping; raise a `LinkError` if it is not a message of this type."""
     if not isinstance(message, Mapping):
         raise _other(shape, where, f"{message!r} is not a mapping")
     try:
@@ -203,11 +199,8 @@ def _in_one(kind: str | Shape, value: Any, where: str) -> Any:
 
 
 def _other(shape: Shape, where: str, why: str) -> LinkError:
-    return LinkError(
-        f"the message is not a {shape.type_name}: {why}",
-        where=where,
-        fix="Name the robot's distribution, or give its definition: rosbridge://robot:9090?distro=…&types=….",
-    )
+    fix = "Name the robot's distribution, or give its definition: rosbridge://robot:9090?distro=…&types=…."
+    return LinkError(f"the message is not a {shape.type_name}: {why}", where=where, fix=fix)
 
 
 _CLOSE_TIMEOUT = 2.0
@@ -260,17 +253,7 @@ def _bounded(connection: ClientConnection) -> ClientConnection:
 
 
 def connect(address: RosbridgeAddress, timeout: float, closing: ExitStack, *, where: str) -> ClientConnection:
-    """Open the WebSocket.
-
-    Args:
-        address: of the rosbridge.
-        timeout: how long it may take, s.
-        closing: closes it.
-        where: for the error.
-
-    Raises:
-        LinkError: it cannot be opened.
-    """
+    """Open the WebSocket of a rosbridge within a timeout (s), or raise a `LinkError`; `closing` closes it."""
     from websockets import exceptions  # noqa: PLC0415  # an extra, only where it is asked for
     from websockets.sync.client import connect as open_connection  # noqa: PLC0415
 

@@ -71,13 +71,8 @@ class RosbridgeSecurity:
 
     @classmethod
     def of(cls, options: Mapping[str, str], *, is_tls: bool) -> RosbridgeSecurity:
-        """Take the options of an address.
-
-        Raises:
-            LinkError: some of them do not go together, or cannot have their value.
-        """
-        vain = [name for name in _TLS_OPTIONS if name in options and not is_tls]
-        if vain:
+        """Take the options of an address; raise a `LinkError` if they do not go together, or have a wrong value."""
+        if vain := [name for name in _TLS_OPTIONS if name in options and not is_tls]:
             raise _refused(f"{vain[0]} is given, and the address is not one of TLS", "Write rosbridge+tls://….")
         ca, cert, key = (Path(path).expanduser() if (path := options.get(name)) else None for name in _TLS_OPTIONS[:3])
         fingerprint = options.get("fingerprint", "").replace(":", "").casefold()
@@ -219,11 +214,7 @@ class TurnTakingSocket(ssl.SSLSocket):
         return self._in_turn(partial(super().recv, buflen, flags), None)
 
     def sendall(self, data: Any, flags: int = 0) -> None:
-        """Send all of it.
-
-        Raises:
-            TimeoutError: the network takes nothing more.
-        """
+        """Send all of it; raise a `TimeoutError` if the network takes nothing more."""
         rest = memoryview(data)
         while rest:
             rest = rest[self._in_turn(partial(super().send, rest, flags), self._sending) :]
@@ -254,15 +245,9 @@ class TurnTakingSocket(ssl.SSLSocket):
 def secure_socket(
     host: str, port: int, security: RosbridgeSecurity, timeout: float, sending: float, *, where: str
 ) -> ssl.SSLSocket:
-    """Connect by TLS to a server that has proved its identity.
+    """Connect by TLS to a server that has proved its identity within a timeout (s): its certificate is of this host.
 
-    Args:
-        host: name or number; the certificate has to be of this name.
-        port: of the server.
-        security: what it is checked by.
-        timeout: how long all of it may take, s.
-        sending: how long the network may then take nothing of what is sent, s.
-        where: for the error.
+    From then on, the network may take nothing of what is sent for `sending` (s).
 
     Raises:
         LinkError: the certificate is not trusted, of another host or out of date, or TLS is not spoken there.

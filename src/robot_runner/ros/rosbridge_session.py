@@ -43,12 +43,7 @@ _MOST_WAITING_BYTES = 4 * LARGEST_FRAME
 
 @dataclass(frozen=True, slots=True)
 class Reply:
-    """The answer of a service.
-
-    Attributes:
-        is_good: whether the service succeeded.
-        values: its response, or the error.
-    """
+    """The answer of a service: whether it succeeded, and its response, or the error."""
 
     is_good: bool
     values: Any
@@ -144,32 +139,19 @@ class Session:
             raise (self._lost or self._loss(str(error))) from error
 
     def flush(self, *, where: str) -> None:
-        """Return when the server has handled all earlier operations.
-
-        Raises:
-            LinkError: the server does not answer in time.
-        """
+        """Return when the server has handled all earlier operations; raise a `LinkError` if it does not in time."""
         self.call(self.barrier, {}, timeout=ANSWER, where=where)
 
     def request(self, operation: dict[str, Any], *, where: str) -> None:
-        """Send an operation, and return when the server has handled it.
-
-        Raises:
-            LinkError: the server refuses it, or does not answer in time.
-        """
+        """Send an operation; return when the server has handled it, raise a `LinkError` if it refuses or is late."""
         name = operation.get("id") or self.fresh_id(operation["op"])
         self.send({**operation, "id": name})
         self.flush(where=where)
-        complaint = self.complaint(name)
-        if complaint is not None:
+        if (complaint := self.complaint(name)) is not None:
             raise LinkError(f"the rosbridge refuses it: {complaint}", where=where, fix="Correct what it says.")
 
     def call(self, service: str, request: Mapping[str, Any], *, timeout: float, where: str = "") -> Reply:
-        """Call a service and return its answer, in the protocol's form.
-
-        Raises:
-            LinkError: it does not answer in time.
-        """
+        """Call a service and return its answer, in the protocol's form; raise a `LinkError` if it is late."""
         return self.calls([(service, request)], timeout=timeout, where=where)[0]
 
     def calls(self, questions: list[tuple[str, Mapping[str, Any]]], *, timeout: float, where: str = "") -> list[Reply]:
@@ -253,7 +235,6 @@ class Session:
             raise LinkError(problem, where=self.where, fix=fix) from error
 
     def _greet(self, *, looks: bool) -> None:
-        """Check that the server speaks the protocol, and find the service of its own node."""
         try:
             if not looks:
                 self.flush(where=self.where)

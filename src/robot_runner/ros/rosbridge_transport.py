@@ -8,13 +8,14 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
+from dataclasses import dataclass, field
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import LinkError
 from robot_runner.core.links.commanded_topics import VELOCITIES
 from robot_runner.core.links.graph_names import missing
-from robot_runner.core.links.robot import Encoding, GraphEndpoint, Message, Qos
+from robot_runner.core.links.robot import GraphEndpoint, Message, Qos, RawMessage
 from robot_runner.ros.graph_transport import (
     ClosedBy,
     Lane,
@@ -29,15 +30,19 @@ from robot_runner.ros.rosbridge_actions import RosbridgeActions
 from robot_runner.ros.rosbridge_callers import Callers
 from robot_runner.ros.rosbridge_frames import from_protocol, passes_as_cbor, to_protocol
 from robot_runner.ros.rosbridge_session import Reply, Session
-from robot_runner.ros.rosbridge_topics import RAW, RosbridgeReception, Topic, one_form
 from robot_runner.ros.rosbridge_types import RobotTypes, Rosapi, RosapiParameters
 from robot_runner.ros.shapes import completed
 
 if TYPE_CHECKING:
     from robot_runner.ros.action_calls import ActionDialect
     from robot_runner.ros.graph_addresses import RosbridgeAddress
+    from robot_runner.ros.shapes import Shape
 
 _logger = logging.getLogger(__name__)
+
+#: Bytes as the robot has them; a server that does not know this compression sends JSON.
+RAW = "cbor-raw"
+_RAW_FIELDS = frozenset({"bytes", "secs", "nsecs"})
 
 #: A type that several nodes latch on one topic (`/tf_static`), and how many of its messages a late receiver gets; of
 #: other types it gets the last one.
@@ -67,7 +72,7 @@ class RosbridgeTransport:
     def __init__(self, address: RosbridgeAddress, now_ns: Callable[[], int]) -> None:
         self._now_ns = now_ns
         self._lock = threading.RLock()
-        self._topics: dict[str, Topic] = {}
+        self._topics: dict[str, _Topic] = {}
         self._publishers: dict[str, _Publisher] = {}
         self._answers: dict[str, Callable[[Mapping[str, Any]], dict[str, Any]]] = {}
         self._answering = threading.BoundedSemaphore(_MOST_ANSWERING)
@@ -80,6 +85,8 @@ class RosbridgeTransport:
         except LinkError:
             self.close()
             raise
+        self.encoding = self.types.encoding
+        self.parameter_server = RosapiParameters(self._rosapi) if self.types.generation == 1 else None
         # Each raises a `LinkError` where rosapi does not run beside the server.
         self.topics, self.services, self.nodes = self._rosapi.topics, self._rosapi.services, self._rosapi.nodes
         self.actions: ActionDialect = (
@@ -90,11 +97,6 @@ class RosbridgeTransport:
         self._session.on_message = self._take_message
         self._session.on_request = self._take_request
         self._session.stop_operations = self._stops
-
-    @property
-    def encoding(self) -> Encoding:
-        """That of the robot's generation of ROS."""
-        return self.types.encoding
 
     def advertise(self, topic: str, message_type: str, qos: Qos) -> _Publisher:
         """Return the publisher of a topic, a new one where messages are to be latched and were not before."""
@@ -125,7 +127,7 @@ class RosbridgeTransport:
             else:
                 check_type(topic, message_type, [known.message_type])
                 if (is_raw and known.compression != RAW) or (not is_raw and known.shape is None):
-                    raise one_form(topic, message_type)
+                    raise _one_form(topic, message_type)
                 kept = known.join(receive, is_prompt=is_prompt)
                 for each in kept if qos is Qos.TRANSIENT_LOCAL else ():
                     receive(each)
@@ -173,11 +175,6 @@ class RosbridgeTransport:
         """Return the subscribers of a topic; otherwise as `publishers`."""
         return self._rosapi.endpoints("subscribers", topic)
 
-    @property
-    def parameter_server(self) -> RosapiParameters | None:
-        """That of ROS 1, by rosapi; None in ROS 2."""
-        return RosapiParameters(self._rosapi) if self.types.generation == 1 else None
-
     def wait(self, event: threading.Event, seconds: float) -> None:
         """Wait for an event; raises a `LinkError` as soon as the connection is lost."""
         self._session.wait(event, seconds)
@@ -208,7 +205,7 @@ class RosbridgeTransport:
 
     def _subscribed(
         self, name: str, message_type: str, receive: Callable[[Reception], None], *, is_raw: bool, is_prompt: bool
-    ) -> Topic:
+    ) -> _Topic:
         is_known = self.types.is_known_here(message_type)
         shape = None if is_raw and not is_known else self.types.shape(message_type)
         # A server's own CBOR fails at some arrays, in ROS 2 at more; and its JSON has neither NaN nor infinity.
@@ -217,7 +214,7 @@ class RosbridgeTransport:
         request_id = self._session.fresh_id("subscribe")
         most = _MOST_TOGETHER if message_type == _TOGETHER else 1
         kept = {form: deque[Reception](maxlen=most) for form in (False, True)}
-        topic = Topic(name, message_type, shape, RAW if is_known or is_raw else plain, request_id, kept)
+        topic = _Topic(name, message_type, shape, RAW if is_known or is_raw else plain, request_id, kept)
         # Joins at once: latched messages come before the server has answered.
         topic.join(receive, is_prompt=is_prompt)
         self._topics[name] = topic
@@ -231,7 +228,7 @@ class RosbridgeTransport:
             raise
         return topic
 
-    def _unsubscribe(self, topic: Topic, receive: Callable[[Reception], None]) -> None:
+    def _unsubscribe(self, topic: _Topic, receive: Callable[[Reception], None]) -> None:
         with self._lock:
             topic.leave(receive)
             if not topic.receivers and self._topics.pop(topic.name, None) is not None and self._session.is_usable:
@@ -247,9 +244,8 @@ class RosbridgeTransport:
         return missing("service", service, self._rosapi.service_names(), where=service, fix=fix)
 
     def _take_message(self, name: str, message: Any) -> None:
-        topic = self._topics.get(name)
-        if topic is not None:
-            reception = RosbridgeReception(self.types, topic, message, self._now_ns())
+        if (topic := self._topics.get(name)) is not None:
+            reception = _Reception(self.types, topic, message, self._now_ns())
             for is_prompt in (True, False):
                 self._session.later(partial(topic.hand_on, reception, is_prompt=is_prompt), is_prompt=is_prompt)
 
@@ -322,3 +318,70 @@ class _Publisher:
         advertised, self._id = self._id, None
         if advertised is not None and self._session.is_usable:
             self._session.send({"op": "unadvertise", "id": advertised, "topic": self._topic})
+
+
+@dataclass(slots=True)
+class _Topic:
+    """A topic that the server sends here, and its receivers, each with whether it is prompt: it waits for no other."""
+
+    name: str
+    message_type: str
+    shape: Shape | None
+    compression: str
+    request_id: str
+    kept: Mapping[bool, deque[Reception]]
+    receivers: list[tuple[Callable[[Reception], None], bool]] = field(default_factory=list)
+    _lock: threading.Lock = field(default_factory=threading.Lock)
+
+    def join(self, receive: Callable[[Reception], None], *, is_prompt: bool) -> list[Reception]:
+        """Add a receiver of later messages, and return the messages that are kept, which it does not get."""
+        with self._lock:
+            self.receivers.append((receive, is_prompt))
+            return list(self.kept[is_prompt])
+
+    def leave(self, receive: Callable[[Reception], None]) -> None:
+        """Remove a receiver."""
+        with self._lock:
+            self.receivers = [each for each in self.receivers if each[0] is not receive]
+
+    def hand_on(self, reception: Reception, *, is_prompt: bool) -> None:
+        """Keep a message for later receivers of this kind, and pass it to the present ones."""
+        with self._lock:
+            self.kept[is_prompt].append(reception)
+            receivers = [receive for receive, is_its_kind in self.receivers if is_its_kind is is_prompt]
+        for receive in receivers:
+            receive(reception)
+
+
+class _Reception:
+    """A received message, decoded or encoded once, and only if that form is requested."""
+
+    def __init__(self, types: RobotTypes, topic: _Topic, message: Any, received_ns: int) -> None:
+        self._types = types
+        self._topic = topic
+        self._message = message
+        self._received_ns = received_ns
+        is_raw = isinstance(message, dict) and message.keys() == _RAW_FIELDS and isinstance(message["bytes"], bytes)
+        self._data: bytes | None = message["bytes"] if is_raw else None
+
+    def message(self) -> Message:
+        """Return the message as a mapping."""
+        topic = self._topic
+        if self._data is not None:
+            return self._types.deserialise(topic.message_type, self._data)
+        if topic.shape is None:
+            raise _one_form(topic.name, topic.message_type)
+        return from_protocol(topic.shape, self._message, where=topic.name)
+
+    def raw(self) -> RawMessage:
+        """Return the message as bytes."""
+        if self._data is None:
+            self._data = self._types.serialise(self._topic.message_type, self.message())
+        return RawMessage(self._data, self._received_ns)
+
+
+def _one_form(topic: str, message_type: str) -> LinkError:
+    """Return the error that messages of a type unknown here cannot be received in both forms."""
+    problem = f"messages of {message_type} can be received here as bytes or as messages, not as both"
+    fix = "Give its definition: robot = 'rosbridge://robot:9090?types=path/to/its/package'."
+    return LinkError(problem, where=topic, fix=fix)

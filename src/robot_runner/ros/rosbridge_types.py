@@ -39,14 +39,10 @@ _UNTOLD = "# failed to get full definition"
 
 
 class Rosapi:
-    """Asks rosapi, the node beside a rosbridge.
+    """Asks rosapi, the node beside a rosbridge, over `callers`, as it may hang; the server itself over the session.
 
     Where rosapi does not answer, `told` and what lists the graph (`topics`, `services`, `nodes`, `endpoints`,
     `action_servers`) raise a `LinkError`; what else it cannot answer is None or empty.
-
-    Args:
-        session: over which the server is asked to do something.
-        callers: over which rosapi is asked: it may hang.
     """
 
     def __init__(self, session: Session, callers: Callers) -> None:
@@ -74,11 +70,9 @@ class Rosapi:
             return int(told.values.get("version", 2)), str(told.values.get("distro") or "") or None
         if seen is not None or self._ask("get_time").is_good:
             return seen or 1, None
-        raise LinkError(
-            "neither rosapi nor the server's own node tells which generation of ROS it is",
-            where=self._session.where,
-            fix="Start rosapi beside it, or say it: robot = 'rosbridge://robot:9090?ros=1' (or ros=2).",
-        )
+        problem = "neither rosapi nor the server's own node tells which generation of ROS it is"
+        fix = "Start rosapi beside it, or say it: robot = 'rosbridge://robot:9090?ros=1' (or ros=2)."
+        raise LinkError(problem, where=self._session.where, fix=fix)
 
     def topics(self) -> dict[str, str]:
         """Return the type of each topic by its full name; an empty text where it is not known."""
@@ -161,10 +155,8 @@ class Rosapi:
         if not self._ask("get_time").is_good:
             return
         if not until(is_there, _CONFIRMATION):
-            problem, package = (
-                f"the rosbridge server does not take {what} of type {type_name}",
-                type_name.partition("/")[0],
-            )
+            package = type_name.partition("/")[0]
+            problem = f"the rosbridge server does not take {what} of type {type_name}"
             fix = f"Source a workspace with the package {package!r} where the server is started, or look at its log."
             raise LinkError(problem, where=name, fix=fix)
 
@@ -200,11 +192,9 @@ class Rosapi:
         """Call a service of rosapi by its name, and return the response."""
         answer = self._ask(question, values)
         if not answer.is_good or not isinstance(answer.values, dict):
-            raise LinkError(
-                f"the graph cannot be listed, because rosapi does not answer: {answer.values}",
-                where=self._session.where,
-                fix="Start rosapi beside the rosbridge server, as the server's own launch file does.",
-            )
+            problem = f"the graph cannot be listed, because rosapi does not answer: {answer.values}"
+            fix = "Start rosapi beside the rosbridge server, as the server's own launch file does."
+            raise LinkError(problem, where=self._session.where, fix=fix)
         return answer.values
 
     def _ask(self, question: str, values: Mapping[str, Any] | None = None) -> Reply:
@@ -238,11 +228,7 @@ class RosapiParameters:
         return list(self._rosapi.told("get_param_names")["names"])
 
     def parameter(self, name: str) -> Any:
-        """Return the value of one, or None where it is not set.
-
-        Raises:
-            LinkError: rosapi does not answer, or with something that is not JSON.
-        """
+        """Return the value of one, None where it is not set; a `LinkError` says rosapi does not answer, or no JSON."""
         told = self._rosapi.told("get_param", {"name": name, "default": ""})["value"]
         try:
             return json.loads(told or "null")
@@ -251,11 +237,7 @@ class RosapiParameters:
             raise LinkError(f"rosapi reports its value as {told!r}, which is not JSON", where=name, fix=fix) from error
 
     def set_parameter(self, name: str, *, value: Any) -> None:
-        """Set one.
-
-        Raises:
-            LinkError: rosapi does not answer, or the value cannot be written as JSON.
-        """
+        """Set one; raise a `LinkError` if rosapi does not answer, or the value cannot be written as JSON."""
         try:
             written = json.dumps(value, allow_nan=False)
         except (TypeError, ValueError) as error:
@@ -269,10 +251,9 @@ class RosapiParameters:
 
 
 class RobotTypes:
-    """What the types of one robot are made of; a `LinkError` says that neither the catalogue nor the robot knows one.
+    """What the types of one robot, of ROS 1 or 2, are made of.
 
-    Attributes:
-        generation: of the robot's ROS, 1 or 2.
+    A `LinkError` says that neither the catalogue nor the robot knows one.
 
     Raises:
         LinkError: the robot's generation is not known, or a type definition cannot be used.
@@ -281,15 +262,11 @@ class RobotTypes:
     def __init__(self, rosapi: Rosapi, address: RosbridgeAddress) -> None:
         self._rosapi = rosapi
         self.generation, distro = rosapi.version(address)
+        self.encoding = Encoding.ROS1 if self.generation == 1 else Encoding.CDR
         known = distro if self.generation == 1 or distro in ROS2_DISTROS else None
         self._catalogue = TypeCatalogue.of(self.generation, None if self.generation == 1 else known, address.types)
         self._learning = threading.Lock()  # what two threads learn at once is kept of both
         self._told: dict[tuple[str, str], Shape] = {}
-
-    @property
-    def encoding(self) -> Encoding:
-        """How the bytes of messages are laid out."""
-        return Encoding.ROS1 if self.generation == 1 else Encoding.CDR
 
     def wire_name(self, type_name: str, kind: str = "msg") -> str:
         """Return a type's name as the robot's generation spells it; `kind` is `msg` or `srv`."""
@@ -349,8 +326,7 @@ class RobotTypes:
         return True
 
     def _shape(self, look_up: Callable[[str], Shape], name: str, question: str, kind: str) -> Shape:
-        told = self._told.get((question, name))
-        if told is not None:
+        if (told := self._told.get((question, name))) is not None:
             return told
         try:
             return look_up(name)

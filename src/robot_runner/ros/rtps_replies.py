@@ -38,12 +38,7 @@ _IP_AND_UDP_BYTES = 28
 
 
 class RequestId(NamedTuple):
-    """Identifies a request.
-
-    Attributes:
-        client: GUID of the writer that the request was sent with, 16 bytes.
-        number: of the request among those of the writer, from 1.
-    """
+    """Identifies a request: by the GUID of its writer (16 bytes), and its number among the writer's, from 1."""
 
     client: bytes
     number: int

@@ -40,16 +40,9 @@ class ActionClient(Protocol):
 class SentGoal:
     """A goal that was sent, until it is over: an action client reports its states and result, its sender waits for it.
 
-    It is a `Goal` of `core.links.robot`, where the exceptions of `result` and `cancel` are documented.
-
-    Args:
-        action: full name of its action.
-        wait: waits for an event, for so many seconds at most, as the link's transport does.
-        take_feedback: called with the feedback; it deals with what it raises.
-
-    Attributes:
-        key: identifies it in the protocol.
-        is_abandoned: whether its sender no longer waits, because it was not accepted in time.
+    It is a `Goal` of `core.links.robot`, where the exceptions of `result` and `cancel` are documented. It waits as the
+    link's transport does; `take_feedback` deals with what it raises. Its `key` identifies it in the protocol; it
+    `is_abandoned` where its sender no longer waits, because it was not accepted in time.
     """
 
     def __init__(
@@ -62,21 +55,11 @@ class SentGoal:
         self._wait = wait
         self._take_feedback = take_feedback
         self._lock = threading.Lock()
-        self._status = GoalStatus.UNKNOWN
+        self.status = GoalStatus.UNKNOWN
         self._changed = threading.Event()
         self._is_over = threading.Event()
         self._result: ActionResult | None = None
-        self._fault: LinkError | None = None
-
-    @property
-    def status(self) -> GoalStatus:
-        """The last status from the server."""
-        return self._status
-
-    @property
-    def fault(self) -> LinkError | None:
-        """Why there will be no result, if so."""
-        return self._fault
+        self.fault: LinkError | None = None
 
     @property
     def is_over(self) -> bool:
@@ -86,10 +69,10 @@ class SentGoal:
     def result(self, *, timeout: float) -> ActionResult:
         """Wait until the goal is over and return its result; `timeout` is in seconds."""
         if not self._wait_until_over(timeout):
-            problem = f"the goal is not over within {timeout:g} s: it is {self._status}"
+            problem = f"the goal is not over within {timeout:g} s: it is {self.status}"
             raise LinkError(problem, where=self.action, fix="Give a longer timeout, or cancel the goal.")
         if self._result is None:
-            raise self._fault or self._gone()
+            raise self.fault or self._gone()
         return self._result
 
     def cancel(self, *, timeout: float = 5.0) -> None:
@@ -97,18 +80,12 @@ class SentGoal:
         deadline = time.monotonic() + timeout
         self.ask_for_end(timeout)
         if not self._wait_until_over(timeout, deadline):
-            raise LinkError(
-                f"the goal does not end within {timeout:g} s after it was asked to: it is {self._status}",
-                where=self.action,
-                fix="Check whether its server looks for cancel requests, or give a longer timeout.",
-            )
+            problem = f"the goal does not end within {timeout:g} s after it was asked to: it is {self.status}"
+            fix = "Check whether its server looks for cancel requests, or give a longer timeout."
+            raise LinkError(problem, where=self.action, fix=fix)
 
     def ask_for_end(self, timeout: float) -> None:
-        """Request the cancelling of the goal; do nothing if it is over.
-
-        Raises:
-            LinkError: the server refuses, or is gone.
-        """
+        """Request the cancelling of the goal, if not over; raise a `LinkError` if its server refuses or is gone."""
         if self.is_over or self.client is None:
             return
         if self.client.cancels_at_once:  # to find out whether its server is there may take long
@@ -122,9 +99,9 @@ class SentGoal:
     def note(self, status: GoalStatus) -> None:
         """Note its state on the server; a goal that is over stays over, and one that has begun was accepted before."""
         with self._lock:
-            is_late = status is GoalStatus.ACCEPTED and self._status is not GoalStatus.UNKNOWN
-            if not (self._status.is_over or is_late):
-                self._status = status
+            is_late = status is GoalStatus.ACCEPTED and self.status is not GoalStatus.UNKNOWN
+            if not (self.status.is_over or is_late):
+                self.status = status
         self._changed.set()
 
     def take_feedback(self, message: Message) -> None:
@@ -135,16 +112,16 @@ class SentGoal:
     def finish(self, result: ActionResult) -> None:
         """Set the result; only the first counts."""
         with self._lock:
-            if self._result is None and self._fault is None:
+            if self._result is None and self.fault is None:
                 self._result = result
-                self._status = result.status
+                self.status = result.status
         self._end()
 
     def lose(self, fault: LinkError, *, before_told: Callable[[], object] = lambda: None) -> None:
         """End the goal without a result, even if one arrives now; `before_told` is called before its sender returns."""
         with self._lock:
-            if self._result is None and self._fault is None:
-                self._fault = fault
+            if self._result is None and self.fault is None:
+                self.fault = fault
         try:
             before_told()
         finally:
@@ -153,12 +130,12 @@ class SentGoal:
     def wait_for_status(self, claim: Callable[[GoalStatus], bool], timeout: float) -> bool:
         """Wait until something holds of the status; return whether it does."""
         deadline = time.monotonic() + timeout
-        while not claim(self._status):
+        while not claim(self.status):
             left = deadline - time.monotonic()
-            if left <= 0 or self._fault is not None:
-                return claim(self._status)
+            if left <= 0 or self.fault is not None:
+                return claim(self.status)
             self._changed.clear()
-            if not claim(self._status):
+            if not claim(self.status):
                 self._wait(self._changed, left)
         return True
 
@@ -185,5 +162,5 @@ class SentGoal:
             return True
 
     def _gone(self) -> LinkError:
-        problem = f"the action server is gone; the goal was {self._status}"
+        problem = f"the action server is gone; the goal was {self.status}"
         return LinkError(problem, where=self.action, fix="Look at the log of its node, and start it again.")

@@ -25,9 +25,7 @@ _INTEGERS: Mapping[str, tuple[int, int]] = MappingProxyType(
 #: The meaning of these names in ROS 1; in ROS 2 they are an octet and a uint8.
 ROS1_KINDS: Mapping[str, str] = MappingProxyType({"byte": "int8", "char": "uint8"})
 #: The names of some kinds in the interface definition language of ROS 2.
-IDL_KINDS: Mapping[str, str] = MappingProxyType(
-    {"boolean": "bool", "float": "float32", "double": "float64", "octet": "byte"}
-)
+IDL_KINDS = MappingProxyType({"boolean": "bool", "float": "float32", "double": "float64", "octet": "byte"})
 _FLOATS: Mapping[str, float] = MappingProxyType({"float32": 3.4028234663852886e38, "float64": math.inf})
 _TEXTS = ("string", "wstring")
 #: The least and the greatest seconds: ROS 1 counts times as uint32 and durations as int32.

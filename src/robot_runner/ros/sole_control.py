@@ -31,13 +31,7 @@ _WATCHDOG = "robot_runner_watchdog"
 class SoleControl:
     """Watches the topics of one robot; the first finding is reported, once.
 
-    Args:
-        link: to the robot.
-        namespace: the robot's.
-        command_topic: the topic of its commands.
-        where: the plugin, for errors.
-        pose_topic: the topic of its pose; None if that does not matter.
-        types: the types that commands may have.
+    `where` is the plugin, for errors; commands may have these types; without a `pose_topic`, the pose does not matter.
     """
 
     def __init__(
@@ -62,9 +56,7 @@ class SoleControl:
     def take(self, context: RobotRunnerContext, *, sole: bool) -> None:
         """Check that no other node commands the robot or publishes its pose, now and until `end`.
 
-        Args:
-            context: of the run.
-            sole: whether the run fails if another node does; if not, its values are doubtful then.
+        If one does later, the run fails if it is to be the `sole` one; if not, its values are doubtful then.
 
         Raises:
             LinkError: another node does now.
@@ -72,9 +64,8 @@ class SoleControl:
         if self._link.is_simulated:  # the embedded robot is alone in its world
             return
         findings = self.check()
-        errors = [finding for finding in findings if finding.is_error]
-        if errors and sole:
-            raise LinkError.of_findings(errors)
+        if sole:
+            LinkError.refuse(finding for finding in findings if finding.is_error)
         for finding in findings:
             tell = context.doubt if finding.is_error else context.warn
             tell(finding.problem, fix=finding.fix)
@@ -82,11 +73,7 @@ class SoleControl:
         self.begin(context.fail if sole else partial(context.doubt, fix=fix))
 
     def check(self) -> Sequence[Finding]:
-        """Return findings, errors and warnings, against moving this robot and no other.
-
-        Raises:
-            LinkError: the graph does not answer.
-        """
+        """Return findings, errors and warnings, against moving this robot and no other."""
         where, commands = self._where, self._command_topic
         return [
             *self._second_robots(),
@@ -95,11 +82,7 @@ class SoleControl:
         ]
 
     def begin(self, tell: Callable[[str], object]) -> None:
-        """Watch until `end`, in threads; call `tell` with the first problem.
-
-        Raises:
-            LinkError: the commands cannot be subscribed.
-        """
+        """Watch until `end`, in threads; call `tell` with the first problem."""
         told = {each.message_type for each in self._link.subscribers(self._command_topic)}.intersection(self._types)
         # Where the graph does not know the type, the topic carries the one that we publish.
         for message_type in sorted(told) or [TWIST if TWIST in self._types else next(iter(self._types))]:

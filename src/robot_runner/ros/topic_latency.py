@@ -57,7 +57,6 @@ class _Stamped:
     stamps: array[int] = field(default_factory=lambda: array("q"))
 
     def first_by_stamp(self) -> dict[int, float]:
-        """Return when the first message of each stamp was received."""
         first: dict[int, float] = {}
         for stamp, time in zip(self.stamps, self.times, strict=True):
             first.setdefault(stamp, time)
@@ -237,10 +236,8 @@ class TopicLatency(TopicProfiler):
         elif min(known) < -_EARLY:
             yield topic, f"an answer came {-min(known):.3f} s before its cause", _KEEP_STAMPS
         elif (together := sum(latency <= 0 for latency in known)) > _TOGETHER * len(known):
-            problem = (
-                f"{together} of {len(known)} answers were received no later than their causes: "
-                "this machine cannot resolve the time between them"
-            )
+            told = f"{together} of {len(known)} answers were received no later than their causes"
+            problem = f"{told}: this machine cannot resolve the time between them"
             yield topic, problem, "Take load from this machine, or have another process play the bag."
         if first := _not_connected(latencies):
             told = f"none of the first {first} messages on {self.topics[0]} has an answer"
@@ -254,9 +251,8 @@ class TopicLatency(TopicProfiler):
             times, values = [time for time, _ in latencies], [latency for _, latency in latencies]
             columns = [Column("time_s", times), Column("latency_s", values)]
             write_samples(folder / f"{self._labels[topic]}.csv", columns)
-        facts = {
-            topic: {"messages": len(each.times), "problem": each.problem} for topic, each in self._received.items()
-        }
+        received = self._received.items()
+        facts = {topic: {"messages": len(each.times), "problem": each.problem} for topic, each in received}
         write_quality(folder / "quality.json", None, window, {"is_simulated": self._is_simulated, "topics": facts})
 
 

@@ -40,13 +40,7 @@ _FIELD = re.compile(r"^[ \t]*([^\s#]+)[ \t]+\w+(?![\w \t]*=)", re.MULTILINE)
 
 @dataclass(frozen=True, slots=True)
 class TypedTopic:
-    """A topic that is on the graph.
-
-    Attributes:
-        name: as the user gave it.
-        full_name: on the graph.
-        message_type: ROS name.
-    """
+    """A topic that is on the graph: as the user named it, its full name, and its ROS type."""
 
     name: str
     full_name: str
@@ -118,10 +112,7 @@ def _typed(link: RobotLink) -> dict[str, str]:
 
 
 def topic_label(topic: str, *, where: str) -> str:
-    """Return a topic's name as part of a measure's.
-
-    Raises:
-        PluginError: it is not the name of a topic.
+    """Return a topic's name as part of a measure's; raise a `PluginError` if it is not the name of a topic.
 
     Example:
         >>> topic_label("/alice/battery_state", where="RosTopics")
@@ -145,7 +136,8 @@ class HeaderReader:
     """
 
     def __init__(self, definition: str, encoding: Encoding) -> None:
-        self.has_header = _first_field_type(definition) in _HEADERS
+        first = _FIELD.search(definition)
+        self.has_header = first is not None and first[1] in _HEADERS
         self._is_ros1 = encoding is Encoding.ROS1
 
     def read(self, data: bytes) -> Stamp:
@@ -158,11 +150,6 @@ class HeaderReader:
             sequence = None
             seconds, nanoseconds = _CDR[data[1] & 1].unpack_from(data, _CDR_HEADER)
         return Stamp(seconds * 1_000_000_000 + nanoseconds or None, sequence)
-
-
-def _first_field_type(definition: str) -> str:
-    found = _FIELD.search(definition)
-    return found[1] if found else ""
 
 
 #: The measure that only ROS 1 has.
@@ -315,7 +302,8 @@ class ReceivedTopic:
         It is not known where messages have no numbers, or where many were on their way when the window ended: these may
         have been dropped, or have arrived later.
         """
-        return None if self._is_behind(window) else missed([*_known(self.before), *self.known_numbers])
+        before = [] if self.before is None else [self.before]
+        return None if self._is_behind(window) else missed([*before, *self.known_numbers])
 
     def _is_behind(self, window: Window) -> bool:
         return self.underway(window) > max(_FEW, _MOST_UNDERWAY * len(self.times))
@@ -384,7 +372,3 @@ class ReceivedTopic:
             f"{arrived} messages arrived, and by their rate about {due} more were due when the window ended: it is not "
             "known whether they were lost or came later"
         )
-
-
-def _known(number: int | None) -> list[int]:
-    return [] if number is None else [number]

@@ -49,20 +49,13 @@ class _Branch:
         del self.times[:old], self.transforms[:old]
 
     def at(self, time: float, frame: str) -> Transform:
-        """Return where the frame is in its parent at this time, interpolated between the transforms around it.
-
-        Raises:
-            LinkError: the time is before the first transform, or after the last one.
-        """
+        """Return where the frame is in its parent at a time between its first and last transform, interpolated."""
         if self.is_static:
             return self.transforms[0]
-        if not self.times[0] <= time <= self.times[-1]:
-            problem = f"{frame!r} in {self.parent!r} is known from {self.times[0]:.3f} to {self.times[-1]:.3f} s"
-            off = (
-                f"{self.times[0] - time:.3f} s before"
-                if time < self.times[0]
-                else f"{time - self.times[-1]:.3f} s after"
-            )
+        first, last = self.times[0], self.times[-1]
+        if not first <= time <= last:
+            problem = f"{frame!r} in {self.parent!r} is known from {first:.3f} to {last:.3f} s"
+            off = f"{first - time:.3f} s before" if time < first else f"{time - last:.3f} s after"
             fix = "Ask for a time within it, for the last common one (time=None), or wait: wait_for."
             raise LinkError(f"{problem}, and {time:.3f} s is {off} that", where=_WHERE, fix=fix)
         place = bisect.bisect_left(self.times, time)
@@ -124,11 +117,8 @@ class TransformBuffer:
     def take(self, message: Message, *, is_static: bool = False) -> None:
         """Keep the transforms of a tf2_msgs/TFMessage."""
         for each in message["transforms"]:
-            stamp, moved, turned = (
-                each["header"]["stamp"],
-                each["transform"]["translation"],
-                each["transform"]["rotation"],
-            )
+            stamp, transform = each["header"]["stamp"], each["transform"]
+            moved, turned = transform["translation"], transform["rotation"]
             self.add(
                 each["header"]["frame_id"],
                 each["child_frame_id"],
@@ -172,9 +162,8 @@ class TransformBuffer:
                 return
             x, y, z, w = rotation
             turned = (x / length, y / length, z / length, w / length)
-            self._branch(parent, child, time, is_static=is_static).add(
-                time, Transform(translation, turned), self._horizon
-            )
+            branch = self._branch(parent, child, time, is_static=is_static)
+            branch.add(time, Transform(translation, turned), self._horizon)
 
     @property
     def frames(self) -> Sequence[str]:
@@ -253,9 +242,8 @@ class TransformBuffer:
         """Return what is known of a frame, as far as it still holds."""
         branch = self._branches.get(child)
         if branch is not None and not is_static and branch.times[-1] - time > _OVERTAKEN and not branch.is_static:
-            self._doubt(
-                f"the stamps of {child!r} jump back from {branch.times[-1]:.3f} to {time:.3f} s: all is forgotten"
-            )
+            back = f"from {branch.times[-1]:.3f} to {time:.3f} s"
+            self._doubt(f"the stamps of {child!r} jump back {back}: all is forgotten")
             self._branches = {frame: each for frame, each in self._branches.items() if each.is_static}
             branch = None
         if branch is not None and branch.parent != parent:
@@ -279,9 +267,8 @@ class TransformBuffer:
         common = next((frame for frame in above_source if frame in above_target), None)
         if common is None:
             one, other = above_source[-1], above_target[-1]
-            problem = (
-                f"{source!r} and {target!r} are not connected: the one is below {one!r}, the other below {other!r}"
-            )
+            below = f"the one is below {one!r}, the other below {other!r}"
+            problem = f"{source!r} and {target!r} are not connected: {below}"
             fix = f"Start the node that tells where {one!r} is in {other!r}, such as a localisation."
             raise LinkError(problem, where=_WHERE, fix=fix)
         return above_source[: above_source.index(common)], above_target[: above_target.index(common)]

@@ -16,6 +16,7 @@ from robot_runner.ros.message_codec import FILLER, MessageCodec, NodeKind
 from robot_runner.ros.shapes import ROS1_KINDS, Field, Shape, UpTo, plain_type
 from robot_runner.ros.type_store import (
     LATEST,
+    definition_text,
     filled_store,
     given_defaults,
     service_part,
@@ -76,11 +77,7 @@ class TypeCatalogue:
         return _catalogue(generation, known, tuple(extra))
 
     def with_definition(self, message_type: str, text: str) -> TypeCatalogue:
-        """Return a catalogue that knows a type, too, by the text that `definition` returns where it is known.
-
-        Raises:
-            LinkError: it cannot be read.
-        """
+        """Return a catalogue that knows one more type, by the text that `definition` returns where it is known."""
         store, defaults = with_definition(self._store, message_type, text)
         return TypeCatalogue(store, self._generation, {**self._defaults, **defaults})
 
@@ -98,7 +95,7 @@ class TypeCatalogue:
 
     def definition(self, message_type: str) -> str:
         """Return the text of a definition, followed by those of the types of its fields, as bags store it."""
-        return self._store.generate_msgdef(self._known(message_type), ros_version=self._generation)[0]
+        return definition_text(self._store, self._known(message_type), self._generation)
 
     def digest(self, message_type: str) -> str:
         """Return the digest of a type's version: the md5 sum of ROS 1, the type hash (RIHS01) of ROS 2."""
@@ -110,10 +107,7 @@ class TypeCatalogue:
     def serialise(self, message_type: str, message: Mapping[str, Any], encoding: Encoding) -> bytes:
         """Return the bytes of a complete message, as `shapes.completed` makes it; CDR is little endian.
 
-        Args:
-            message_type: ROS name; a request or response is `std_srvs/Trigger_Request` or `…_Response`.
-            message: with every field of its type.
-            encoding: how to lay it out.
+        A request or response is of the type `std_srvs/Trigger_Request` or `…_Response`.
 
         Raises:
             LinkError: the message does not follow its definition.
@@ -125,18 +119,11 @@ class TypeCatalogue:
                 return bytes(self._store.serialize_ros1(made, name))
             return bytes(self._store.serialize_cdr(made, name, little_endian=True))
         except (KeyError, TypeError, AttributeError, ValueError, OverflowError, struct.error) as error:
-            raise LinkError(
-                f"the message cannot be laid out as its definition says: {error}",
-                where=message_type,
-                fix="Give each field a value of its kind.",
-            ) from error
+            problem = f"the message cannot be laid out as its definition says: {error}"
+            raise LinkError(problem, where=message_type, fix="Give each field a value of its kind.") from error
 
     def deserialise(self, message_type: str, data: bytes | memoryview, encoding: Encoding) -> dict[str, Any]:
-        """Return the message from its bytes.
-
-        Raises:
-            LinkError: the bytes are not of this type.
-        """
+        """Return the message from its bytes; raise a `LinkError` if the bytes are not of this type."""
         name = self._known(message_type)
         read = self._store.deserialize_ros1 if encoding is Encoding.ROS1 else self._store.deserialize_cdr
         try:
@@ -217,10 +204,7 @@ def _serde_error() -> type[Exception]:
 def _unknown(name: str, kind: str, known: Sequence[str]) -> LinkError:
     near = nearest(name, known)
     suffix = {"message": "msg", "service": "srv"}.get(kind, kind)
-    return LinkError(
-        f"there is no {kind} type {name!r}",
-        where=name,
-        fix=f"Did you mean {near!r}?"
-        if near
-        else f"Name the .{suffix} file that defines it in the robot's option types=.",
+    fix = (
+        f"Did you mean {near!r}?" if near else f"Name the .{suffix} file that defines it in the robot's option types=."
     )
+    return LinkError(f"there is no {kind} type {name!r}", where=name, fix=fix)

@@ -33,14 +33,11 @@ LATEST = "jazzy"
 
 
 def filled_store(generation: int, distro: str | None, extra: Sequence[Path]) -> Typestore:
-    """Return a store with the types of a distribution, of the user's files and of the standard services.
+    """Return a store with the types of a distribution (None: the latest), of the user's files and standard services.
 
-    Args:
-        generation: of ROS, 1 or 2.
-        distro: name of the distribution; None is noetic or jazzy.
-        extra: `.msg`, `.srv` and `.action` files, or folders that are searched for them. A file's package is what
-            the `package.xml` in the folder names that its `msg`, `srv` or `action` folder stands in, or else the one
-            that it stands in itself; without a `package.xml`, the package is called like that folder.
+    The files are `.msg`, `.srv` and `.action` files, or folders that are searched for them. A file's package is what
+    the `package.xml` in the folder names that its `msg`, `srv` or `action` folder stands in, or else the one that it
+    stands in itself; without a `package.xml`, the package is called like that folder.
 
     Raises:
         LinkError: `rosbags` is not installed, there is no such distribution, or a file cannot be used.
@@ -55,9 +52,8 @@ def filled_store(generation: int, distro: str | None, extra: Sequence[Path]) -> 
         found |= _parsed(rosbags, name, text, where, generation)
     for name in found.keys() & store.fielddefs.keys():
         _check_same(name, found[name], store, definitions)
-    _register(
-        rosbags, store, {name: fields for name, fields in found.items() if name not in store.fielddefs}, definitions
-    )
+    fresh = {name: fields for name, fields in found.items() if name not in store.fielddefs}
+    _register(rosbags, store, fresh, definitions)
     _check_references(found, store, definitions)
     return store
 
@@ -78,10 +74,7 @@ def given_defaults(generation: int, extra: Sequence[Path]) -> dict[tuple[str, st
 def with_definition(store: Typestore, name: str, text: str) -> tuple[Typestore, dict[tuple[str, str], Any]]:
     """Return a store that also has a message type and the types of its fields, and the defaults of their fields.
 
-    Args:
-        store: is not changed.
-        name: of the type.
-        text: its definition, followed by those of the types of its fields, as bags store it.
+    The text is its definition, followed by those of the types of its fields, as bags store it.
 
     Raises:
         LinkError: the text cannot be read, lacks a definition, or has one that differs from that in the store.
@@ -110,9 +103,7 @@ def type_hash(store: Typestore, name: str) -> str:
 
     rosbags takes `char` for a kind of its own; rosidl writes `uint8` for it (github.com/ros2/rosidl, rosidl_adapter).
     """
-    parts = [name]
-    for each in parts:  # which grows
-        parts += [kind for kind in _kinds(store, each) if kind in store.fielddefs and kind not in parts]
+    parts = _parts_of(store, name)
     if not any("char" in _kinds(store, each) for each in parts):
         return store.hash_rihs01(name)
     rosbags = _rosbags()
@@ -120,6 +111,37 @@ def type_hash(store: Typestore, name: str) -> str:
     fields = {each: [(field, _as_uint8(kind)) for field, kind in store.fielddefs[each][1]] for each in parts}
     plain.register({each: (store.fielddefs[each][0], fields[each]) for each in parts})
     return plain.hash_rihs01(name)
+
+
+def definition_text(store: Typestore, name: str, generation: int) -> str:
+    """Return the definition of a type, followed by those of the types of its fields, as bags store it.
+
+    rosbags writes only what is spelt as a message is, and so the parts of an action are.
+    """
+    if "/action/" in name:
+        rosbags, known = _rosbags(), store.fielddefs
+        parts = {
+            each: [(field, _as_message(kind)) for field, kind in known[each][1]] for each in _parts_of(store, name)
+        }
+        store = rosbags.get_typestore(rosbags.Stores.EMPTY)
+        store.register({_of_message(each): (known[each][0], fields) for each, fields in parts.items()})
+    return store.generate_msgdef(_of_message(name), ros_version=generation)[0]
+
+
+def _of_message(name: str) -> str:
+    return name.replace("/action/", "/msg/")
+
+
+def _as_message(description: Any) -> Any:
+    kind, detail = description
+    return (kind, _of_message(detail)) if kind == NodeKind.TYPE else description
+
+
+def _parts_of(store: Typestore, name: str) -> list[str]:
+    parts = [name]
+    for each in parts:  # which grows
+        parts += [kind for kind in _kinds(store, each) if kind in store.fielddefs and kind not in parts]
+    return parts
 
 
 def _kinds(store: Typestore, name: str) -> list[str]:
@@ -160,11 +182,8 @@ def _rosbags() -> Any:
     try:
         from rosbags import typesys  # noqa: PLC0415  # an extra, needed only where types are looked up
     except ModuleNotFoundError as error:
-        raise LinkError(
-            f"message types cannot be looked up: {error.name} cannot be imported",
-            where="robot",
-            fix="Install it: pip install 'robot-runner[ros]'.",
-        ) from error
+        problem = f"message types cannot be looked up: {error.name} cannot be imported"
+        raise LinkError(problem, where="robot", fix="Install it: pip install 'robot-runner[ros]'.") from error
     return typesys
 
 
@@ -178,11 +197,8 @@ def _store_of(rosbags: Any, generation: int, distro: str | None) -> Any:
 
 def _check_distro(distro: str | None, known: Sequence[str]) -> None:
     if distro is not None and distro not in known:
-        raise LinkError(
-            f"the message types of ROS distribution {distro!r} are not known",
-            where="distro",
-            fix=did_you_mean(distro, known),
-        )
+        fix = did_you_mean(distro, known)
+        raise LinkError(f"the message types of ROS distribution {distro!r} are not known", where="distro", fix=fix)
 
 
 def _definitions(extra: Sequence[Path]) -> dict[str, tuple[str, str]]:
@@ -194,11 +210,8 @@ def _definitions(extra: Sequence[Path]) -> dict[str, tuple[str, str]]:
             try:
                 text = file.read_text(encoding="utf-8")
             except (OSError, UnicodeDecodeError) as error:
-                raise LinkError(
-                    f"the type definition cannot be read: {error}",
-                    where=str(file),
-                    fix="Give a .msg, .srv or .action file that can be read.",
-                ) from error
+                fix = "Give a .msg, .srv or .action file that can be read."
+                raise LinkError(f"the type definition cannot be read: {error}", where=str(file), fix=fix) from error
             where, known = found.setdefault(name, (str(file), text))
             if _words(known) != _words(text):  # as in a workspace with a copy that is older than its source
                 problem = f"{name.partition('.')[0]} is defined otherwise in {where}"
@@ -207,7 +220,6 @@ def _definitions(extra: Sequence[Path]) -> dict[str, tuple[str, str]]:
 
 
 def _words(text: str) -> list[list[str]]:
-    """Return the words of each line that says something, without comments."""
     return [words for line in text.splitlines() if (words := line.partition("#")[0].split())]
 
 
@@ -239,11 +251,8 @@ def _message(rosbags: Any, name: str, text: str, where: str) -> dict[str, Any]:
     try:
         (fields,) = rosbags.get_types_from_msg(f"{text.strip()}\n", spelt).values()
     except rosbags.TypesysError as error:
-        raise LinkError(
-            f"the definition of {name} cannot be read: {str(error).splitlines()[-1][:120]!r}",
-            where=where,
-            fix="Correct the definition.",
-        ) from error
+        problem = f"the definition of {name} cannot be read: {str(error).splitlines()[-1][:120]!r}"
+        raise LinkError(problem, where=where, fix="Correct the definition.") from error
     return {name: (fields[0], [(field, _of_action(kind)) for field, kind in fields[1]])}
 
 
@@ -270,11 +279,9 @@ def _check_references(found: Mapping[str, Any], store: Typestore, definitions: M
         for field, (kind, detail) in fields:
             referred = detail if isinstance(detail, str) else detail[0][1] if kind > NodeKind.TYPE else None
             if isinstance(referred, str) and referred not in store.fielddefs:
-                raise LinkError(
-                    f"field {field!r} of {name} is of the type {referred!r}, which is not known",
-                    where=_file_of(name, definitions),
-                    fix="Name the folder that defines it too." if "/msg/" in referred else "Correct the definition.",
-                )
+                problem = f"field {field!r} of {name} is of the type {referred!r}, which is not known"
+                fix = "Name the folder that defines it too." if "/msg/" in referred else "Correct the definition."
+                raise LinkError(problem, where=_file_of(name, definitions), fix=fix)
 
 
 def _file_of(name: str, definitions: Mapping[str, tuple[str, str]]) -> str:
@@ -286,11 +293,9 @@ def _file_of(name: str, definitions: Mapping[str, tuple[str, str]]) -> str:
 def _check_same(name: str, fields: Any, store: Typestore, definitions: Mapping[str, tuple[str, str]]) -> None:
     known = [field for field in store.fielddefs[name][1] if field[0] != FILLER]
     if [field for field in fields[1] if field[0] != FILLER] != known:
-        raise LinkError(
-            f"{name} is defined otherwise in this distribution of ROS",
-            where=_file_of(name, definitions),
-            fix="Leave the file out, or name the distribution that it is of.",
-        )
+        problem = f"{name} is defined otherwise in this distribution of ROS"
+        fix = "Leave the file out, or name the distribution that it is of."
+        raise LinkError(problem, where=_file_of(name, definitions), fix=fix)
 
 
 # The defaults that definitions of ROS 2 give to fields, which type stores lose. Source: docs.ros.org, "Interfaces",
@@ -314,8 +319,7 @@ def field_defaults(text: str, *, where: str) -> dict[str, Any]:
     """
     found = {}
     for line in text.splitlines():
-        parts = _FIELD.fullmatch(line)
-        if parts is not None:
+        if (parts := _FIELD.fullmatch(line)) is not None:
             kind, array, name, written = parts.groups()
             try:
                 found[name] = _default(kind, written, is_array=array is not None)

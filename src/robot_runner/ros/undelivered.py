@@ -12,11 +12,8 @@ def drop_undelivered(connection: Any, *, is_dropped: bool = True) -> None:
     """Have the system drop what is not delivered when a socket is closed, also as its process is killed; or not.
 
     Otherwise it would go on delivering for minutes: a robot that was stopped meanwhile would drive again, and a setting
-    that was put back would change.
-
-    Args:
-        connection: the socket; None, or one that was closed, is left alone.
-        is_dropped: False once everything was answered, or should be delivered however late.
+    that was put back would change. So `is_dropped` is false only once everything was answered, or for what should be
+    delivered however late. None, and a socket that was closed, is left alone.
     """
     with suppress(AttributeError, OSError):
         # Without time to linger, a connection is reset as it is closed.

@@ -79,11 +79,8 @@ class Watchdog:
 
     def __init__(self, *, heartbeat_timeout: float = 0.4, command_timeout: float = 0.0) -> None:
         if heartbeat_timeout < 0 or command_timeout < 0:
-            raise LinkError(
-                f"the time-outs are {heartbeat_timeout!r} s and {command_timeout!r} s",
-                where="the watchdog",
-                fix="Give 0 or more.",
-            )
+            problem = f"the time-outs are {heartbeat_timeout!r} s and {command_timeout!r} s"
+            raise LinkError(problem, where="the watchdog", fix="Give 0 or more.")
         self._heartbeat_timeout = heartbeat_timeout
         self._command_timeout = command_timeout
         self._heartbeat_at: float | None = None
@@ -103,10 +100,5 @@ class Watchdog:
 
     def must_stop(self, now: float) -> bool:
         """Whether a stop has to be commanded at this moment."""
-        return _is_over(self._heartbeat_at, self._heartbeat_timeout, now) or _is_over(
-            self._moved_at, self._command_timeout, now
-        )
-
-
-def _is_over(heard_at: float | None, timeout: float, now: float) -> bool:
-    return heard_at is not None and timeout > 0 and now - heard_at > timeout
+        heard = ((self._heartbeat_at, self._heartbeat_timeout), (self._moved_at, self._command_timeout))
+        return any(at is not None and timeout > 0 and now - at > timeout for at, timeout in heard)

@@ -30,13 +30,9 @@ _FLOOR, _WALL, _BODY, _WHEEL = (0.86, 0.88, 0.91, 1), (0.62, 0.68, 0.75, 1), (0.
 
 
 class Camera:
-    """Renders pictures of a camera of the model.
+    """Renders pictures of a camera of the model, given by its number there.
 
-    Args:
-        scene: returns the model and its state at this moment.
-        number: the number of the camera in the model.
-        parameters: `camera_width` and `camera_height` of the pictures.
-        is_painted: whether the model gets our colours, as it has none.
+    `scene` returns the model and its state at this moment; a model without colours is painted with ours.
     """
 
     def __init__(self, scene: Scene, number: int, parameters: Turtlebot3Parameters, *, is_painted: bool) -> None:
@@ -47,11 +43,7 @@ class Camera:
         self._renderer: _Renderer | None = None
 
     def open(self) -> _Renderer:
-        """Return the renderer, which is started by the first call.
-
-        Raises:
-            LinkError: this machine cannot render off screen.
-        """
+        """Return the renderer, started by the first call; raise a `LinkError` if nothing here renders off screen."""
         if self._renderer is None:
             model, _ = self._scene()
             if self._is_painted:
@@ -156,11 +148,9 @@ def _opened(model: mujoco.MjModel, number: int, width: int, height: int) -> _Ren
             reasons.append(f"{way}: {' '.join(str(error).split()) or type(error).__name__}")
         finally:
             _restore(given)
-    raise LinkError(
-        f"the camera cannot be rendered on this machine ({'; '.join(reasons)})",
-        where="the simulated robot's camera",
-        fix="Install EGL or OSMesa (Debian: apt install libegl1 libgl1-mesa-dri, or libosmesa6).",
-    )
+    problem = f"the camera cannot be rendered on this machine ({'; '.join(reasons)})"
+    fix = "Install EGL or OSMesa (Debian: apt install libegl1 libgl1-mesa-dri, or libosmesa6)."
+    raise LinkError(problem, where="the simulated robot's camera", fix=fix)
 
 
 def _restore(given: str | None) -> None:

@@ -23,15 +23,10 @@ _SETTLED = 0.05
 
 
 class DifferentialDrive:
-    """Two driven wheels and a body, advanced in steps of the simulation's grid.
+    """Two driven wheels and a body, by its number in its world, advanced in steps of the simulation's grid.
 
     Row i of each trace is the state after i steps: `wheel_angles` (rad), `wheel_speeds` (rad/s) and
     `motor_torques` (N m), each with a column for the left and one for the right wheel.
-
-    Args:
-        parameters: the robot's figures.
-        physics: of the world that it is in.
-        number: the number of its body in that world.
     """
 
     def __init__(self, parameters: Turtlebot3Parameters, physics: Physics, number: int = 0) -> None:
@@ -188,10 +183,8 @@ class OdometryState(NamedTuple):
 class WheelOdometry:
     """Counts encoder ticks at the odometry's rate and adds up arcs, also without subscribers.
 
-    It uses the nominal wheel radius and separation; the true ones differ a little, as on a real robot.
-
-    Args:
-        phases: the positions of the encoders between two ticks at the start, 0..1, left and right.
+    It uses the nominal wheel radius and separation; the true ones differ a little, as on a real robot. `phases` are the
+    positions of the encoders between two ticks at the start, 0..1, left and right.
     """
 
     def __init__(self, parameters: Turtlebot3Parameters, drive: DifferentialDrive, phases: tuple[float, float]) -> None:

@@ -54,14 +54,10 @@ class _EmbeddedRobot:
     takes_address = False
     is_simulated = True
     #: The command topics of a TurtleBot3, and of a model with driven joints, with their types; a model may have either.
-    command_topics: Mapping[str, str] = MappingProxyType(
-        {"cmd_vel": "geometry_msgs/Twist", "joint_commands": "sensor_msgs/JointState"}
-    )
+    command_topics = MappingProxyType({"cmd_vel": "geometry_msgs/Twist", "joint_commands": "sensor_msgs/JointState"})
 
     def findings(self, name: RobotName) -> list[Finding]:
-        """Return errors for missing packages, or for invalid options."""
-        missing = [package for package in _PACKAGES if importlib.util.find_spec(package) is None]
-        if missing:
+        if missing := [package for package in _PACKAGES if importlib.util.find_spec(package) is None]:
             return [_not_installed(missing).as_finding()]
         if not name.options:  # checking options imports NumPy
             return []
@@ -72,7 +68,6 @@ class _EmbeddedRobot:
         return []
 
     def input_files(self, name: RobotName) -> Iterable[InputFile]:
-        """Return the room and the model in its options."""
         return inputs_of(*(Path(name.options[each]) if each in name.options else None for each in (_ROOM, _MODEL)))
 
     def preload(self, name: RobotName) -> None:
@@ -84,7 +79,6 @@ class _EmbeddedRobot:
     def open_robot(
         self, name: RobotName, *, resources: Resources, clock: Clock, seed: int, namespace: str
     ) -> RobotLink:
-        """Open a link to the robot of this namespace, which uses the clock of its simulation."""
         del clock
         simulation = _simulation(name, resources, seed)
         from robot_runner.simulator.simulated_link import SimulatedRobotLink  # noqa: PLC0415  # it imports MuJoCo
@@ -95,7 +89,6 @@ class _EmbeddedRobot:
         return _simulation(name, resources, seed).clock
 
     def open_serial_line(self, name: RobotName, *, resources: Resources, seed: int, namespace: str) -> SerialLine:
-        """Open the serial line of the robot's power meter."""
         simulation = _simulation(name, resources, seed)
         from robot_runner.simulator.simulated_devices import SimulatedSerialLine  # noqa: PLC0415  # it imports MuJoCo
 
@@ -145,11 +138,8 @@ def _simulation(name: RobotName, resources: Resources, seed: int) -> Simulation:
 
 
 def _not_installed(missing: list[str]) -> LinkError:
-    return LinkError(
-        f"robot is {_NAME!r}, but {enumerated(missing)} cannot be imported",
-        where=_WHERE,
-        fix="Install the simulator: pip install 'robot-runner[sim]'.",
-    )
+    fix = "Install the simulator: pip install 'robot-runner[sim]'."
+    return LinkError(f"robot is {_NAME!r}, but {enumerated(missing)} cannot be imported", where=_WHERE, fix=fix)
 
 
 def vain_parameters(options: Iterable[str], model: Path, *, where: str) -> Iterator[Finding]:
@@ -167,13 +157,10 @@ def vain_parameters(options: Iterable[str], model: Path, *, where: str) -> Itera
 
 @dataclass(frozen=True, slots=True)
 class SimulationOptions:
-    """The options of the simulation in `robot = "simulated:name=value,..."`.
+    """The options of the simulation and its robots in `robot = "simulated:name=value,..."`.
 
-    Attributes:
-        parameters: of its robots.
-        real_time_factor: simulated seconds a real second (1.0: real time); None for as fast as the physics goes.
-        room: of its robots.
-        model: of its robots; None for TurtleBot3s.
+    `real_time_factor` is simulated seconds a real second; None for as fast as the physics goes. Without a `model` they
+    are TurtleBot3s.
     """
 
     parameters: Turtlebot3Parameters
@@ -185,13 +172,8 @@ class SimulationOptions:
         """Return a simulation of this kind, at its beginning."""
         from robot_runner.simulator.simulated_turtlebot3 import Simulation  # noqa: PLC0415  # it imports MuJoCo
 
-        return Simulation(
-            seed,
-            parameters=self.parameters,
-            room=self.room,
-            model=self.model,
-            real_time_factor=self.real_time_factor,
-        )
+        pace = self.real_time_factor
+        return Simulation(seed, parameters=self.parameters, room=self.room, model=self.model, real_time_factor=pace)
 
 
 def simulation_options(options: Mapping[str, str]) -> SimulationOptions:
@@ -235,8 +217,7 @@ def simulation_options(options: Mapping[str, str]) -> SimulationOptions:
 def _model(values: dict[str, Any], room: Room | None) -> RobotModel | None:
     """Take a model and its wheels out of the options, and read it."""
     wheels = {side: values.pop(side) for side in _WHEELS if side in values}
-    path = values.pop(_MODEL, None)
-    if path is not None:
+    if (path := values.pop(_MODEL, None)) is not None:
         for vain in vain_parameters(values, path, where=_WHERE):
             raise LinkError(vain.problem, where=vain.where, fix=vain.fix)
         from robot_runner.simulator.modelled_robot import RobotModel  # noqa: PLC0415  # it imports MuJoCo

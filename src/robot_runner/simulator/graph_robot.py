@@ -69,16 +69,8 @@ class SimulatedPlace:
 class GraphRobot:
     """One robot of a simulation on a graph: its topics and services, its transform and its watchdog.
 
-    Args:
-        link: to the graph, in the robot's namespace; the caller closes it.
-        simulation: with the robot of this namespace.
-        place: the graph and the settings.
-        namespace: of the robot.
-        lock: held while the simulation is used: callbacks come from threads of the link.
-        has_meter: whether its power meter is opened on a terminal.
-
-    Attributes:
-        meter: its power meter on a terminal, if it has one.
+    The caller closes the link to its namespace. The lock is held while the simulation is used: callbacks come from
+    threads of the link. With `has_meter` its power meter is opened on a terminal: `meter`.
 
     Raises:
         LinkError: the graph cannot be reached, or there is such a robot already.
@@ -192,9 +184,7 @@ class GraphRobot:
 
     def _publish(self, name: str, message_type: str, qos: Qos, message: dict[str, Any]) -> None:
         stamped = {**message, "header": {**message["header"], "stamp": self._stamp()}}
-        if (
-            message_type == _CAMERA_INFO and self._link.encoding is Encoding.ROS1
-        ):  # ROS 1, which names the matrices in capitals
+        if message_type == _CAMERA_INFO and self._link.encoding is Encoding.ROS1:  # which names matrices in capitals
             stamped |= {each.upper(): stamped.pop(each) for each in "dkrp"}
         self._link.publish(name, message_type, stamped, qos=qos)
         if name == _ODOMETRY and self._has_transform and self._is_heard(_TRANSFORM, Qos.DEFAULT):
@@ -243,7 +233,6 @@ def _is_known(link: RobotLink, message_type: str) -> bool:
 
 
 def _transform(odometry: Message) -> Message:
-    """Return the transform of an odometry message."""
     pose = odometry["pose"]["pose"]
     return {
         "header": odometry["header"],

@@ -34,16 +34,12 @@ _SERVICE_TYPE = "std_srvs/Empty"
 class GraphSimulation:
     """A simulation on a graph: its robots, its time, and services that reset and pause it.
 
-    The services are those of Gazebo classic: `reset_simulation` (restarts time, battery and odometry, with the noise
-    of another seed, so that the next run differs), `reset_world` (puts the robots back to their starts while time goes
+    The services are those of Gazebo classic: `reset_simulation` (restarts time, battery and odometry, with the noise of
+    another seed, so that the next run differs), `reset_world` (puts the robots back to their starts while time goes
     on), `pause_physics` and `unpause_physics`, all of std_srvs/Empty.
 
-    Args:
-        links: to the graph, one for each robot, by namespace; the caller closes them. The services are offered over the
-            first.
-        make: makes a simulation from a seed.
-        place: the graph and the settings.
-        has_meter: whether each robot's power meter is opened on a terminal.
+    There is a link for each robot, by namespace; the caller closes them. The services are offered over the first.
+    `make` makes a simulation from a seed; with `has_meter` each robot's power meter is opened on a terminal.
 
     Attributes:
         robots: its robots, by namespace.
@@ -98,11 +94,7 @@ class GraphSimulation:
         return self._simulation.clock.now()
 
     def live(self, *, seconds: float | None = None, is_over: Callable[[], bool] = lambda: False) -> None:
-        """Advance by `seconds` of simulated time, or until `is_over()`, at the real-time factor of the settings.
-
-        Raises:
-            LinkError: the graph cannot be reached any more.
-        """
+        """Advance by `seconds` of simulated time, or until `is_over()`, at the real-time factor of the settings."""
         end = None if seconds is None else self.now + seconds
         begun, begun_at = time.monotonic(), self.now
         while not is_over() and (end is None or self.now < end):
@@ -181,23 +173,13 @@ _USE_SIM_TIME = "/use_sim_time"
 
 
 def check_pace(place: SimulatedPlace) -> None:
-    """Check that the graph can follow the robot's time.
-
-    Raises:
-        LinkError: its time has another pace than that of the graph.
-    """
+    """Raise a `LinkError` if the graph cannot follow the robot's time, which has another pace."""
     if not 0 < place.real_time_factor < float("inf"):
-        raise LinkError(
-            f"the real-time factor is {place.real_time_factor:g}, which no clock can keep",
-            where="the simulated robot",
-            fix="Give 1 for real time, 2 for twice as fast.",
-        )
+        problem = f"the real-time factor is {place.real_time_factor:g}, which no clock can keep"
+        raise LinkError(problem, where="the simulated robot", fix="Give 1 for real time, 2 for twice as fast.")
     if place.real_time_factor != 1.0 and not place.is_clock:
-        raise LinkError(
-            f"the real-time factor is {place.real_time_factor:g}, and the graph is not told the time",
-            where="the simulated robot",
-            fix="Publish it as well: --use-sim-time.",
-        )
+        problem = f"the real-time factor is {place.real_time_factor:g}, and the graph is not told the time"
+        raise LinkError(problem, where="the simulated robot", fix="Publish it as well: --use-sim-time.")
 
 
 @contextmanager
@@ -239,11 +221,8 @@ def _namespaces(place: SimulatedPlace, room: Room | None, within: str) -> list[s
     if room is None or not room.robots or place.model is not None:
         return [f"{within}{namespace_prefix(place.namespace)}"]
     if place.namespace:
-        raise LinkError(
-            f"the namespace is {place.namespace!r}, and the room names its robots: {', '.join(room.robots)}",
-            where="the simulated robot",
-            fix="Leave --namespace out, or [[robot]] in the room.",
-        )
+        problem = f"the namespace is {place.namespace!r}, and the room names its robots: {', '.join(room.robots)}"
+        raise LinkError(problem, where="the simulated robot", fix="Leave --namespace out, or [[robot]] in the room.")
     return list(room.robots)
 
 

@@ -106,9 +106,8 @@ def read_model(path: Path, obstacles: Iterable[Obstacle] = ()) -> mujoco.MjModel
         LinkError: there is no such file, or MuJoCo refuses it.
     """
     if not path.is_file():
-        raise LinkError(
-            "there is no such model", where=str(path), fix="Give the path of an MJCF file: model=robot.xml."
-        )
+        fix = "Give the path of an MJCF file: model=robot.xml."
+        raise LinkError("there is no such model", where=str(path), fix=fix)
     try:
         spec = mujoco.MjSpec.from_file(str(path))
         for obstacle in obstacles:
@@ -155,13 +154,10 @@ def parts_of_model(path: Path) -> tuple[Path, ...]:
 
 
 def read_interface(model: mujoco.MjModel, *, where: str, left: str = "", right: str = "") -> MjcfInterface:
-    """Return the interface of a model.
+    """Return the interface of a model of MuJoCo; `where` is its file, for errors.
 
-    Args:
-        model: of MuJoCo.
-        where: the file, for errors.
-        left: the joint of its left wheel; if empty, the only one with a velocity actuator and left in its name.
-        right: likewise.
+    `left` and `right` are the joints of its wheels; if empty, the only one with a velocity actuator and left (right) in
+    its name.
 
     Raises:
         LinkError: the model has no actuator for a joint, or a named joint is not a wheel.
@@ -169,11 +165,9 @@ def read_interface(model: mujoco.MjModel, *, where: str, left: str = "", right: 
     joints = _joints(model)
     driven = next((each for each in joints if each.control is not None), None)
     if driven is None:
-        raise LinkError(
-            "the model has no actuator that drives a hinge or a slide: it can do nothing",
-            where=where,
-            fix='Give it some: <actuator><velocity joint="left_wheel" kv="1"/></actuator>.',
-        )
+        problem = "the model has no actuator that drives a hinge or a slide: it can do nothing"
+        fix = 'Give it some: <actuator><velocity joint="left_wheel" kv="1"/></actuator>.'
+        raise LinkError(problem, where=where, fix=fix)
     wheels = _wheels(model, joints, {"left": left, "right": right}, where)
     base = _base(model, driven if wheels is None else wheels.left)
     gyroscope = _sensor(model, mujoco.mjtSensor.mjSENS_GYRO)
@@ -183,16 +177,12 @@ def read_interface(model: mujoco.MjModel, *, where: str, left: str = "", right: 
         wheels=wheels,
         base=None if base is None else int(model.jnt_qposadr[base]),
         base_velocity=0 if base is None else int(model.jnt_dofadr[base]),
-        scanner=next((place for place, name in _names(model, "site", model.nsite) if name in _SCANNERS), None),
+        scanner=next((number for number in range(model.nsite) if model.site(number).name in _SCANNERS), None),
         gyroscope=None if gyroscope is None else int(model.sensor_adr[gyroscope]),
         gyroscope_site=0 if gyroscope is None else int(model.sensor_objid[gyroscope]),
         accelerometer=None if accelerometer is None else int(model.sensor_adr[accelerometer]),
         camera=0 if model.ncam else None,
     )
-
-
-def _names(model: mujoco.MjModel, kind: str, count: int) -> list[tuple[int, str]]:
-    return [(number, getattr(model, kind)(number).name) for number in range(count)]
 
 
 def _sensor(model: mujoco.MjModel, kind: mujoco.mjtSensor) -> int | None:
@@ -278,9 +268,8 @@ def _wheels(model: mujoco.MjModel, joints: Sequence[Joint], given: dict[str, str
     radius = _radius(model, int(model.jnt_bodyid[numbers[0]]))
     if not (separation > 0 and radius > 0):
         problem = f"the wheels are {separation:g} m apart and have a radius of {radius:g} m"
-        raise LinkError(
-            problem, where=where, fix="Give each wheel a body with a round geom, to the left and the right."
-        )
+        fix = "Give each wheel a body with a round geom, to the left and the right."
+        raise LinkError(problem, where=where, fix=fix)
     # A wheel rolls forward if it turns about an axis that points to the left.
     left_sense, right_sense = (-1.0 if float(data.xaxis[each] @ across) < 0 else 1.0 for each in numbers)
     return WheelPair(left, right, radius, separation, (left_sense, right_sense))

@@ -13,12 +13,9 @@ from robot_runner.simulator.turtlebot3_parameters import Turtlebot3Parameters
 
 @dataclass(frozen=True, slots=True)
 class Body:
-    """One robot of a world.
+    """One robot of a world: the true radii of its wheels, m, left and right, and its pose at the beginning.
 
-    Attributes:
-        wheel_radii: the true radii of the left and the right wheel in metres.
-        start: its pose at the beginning.
-        name: the prefix of the names of its parts; empty for a single robot.
+    The name, empty for a single robot, is the prefix of the names of its parts.
     """
 
     wheel_radii: tuple[float, float]
@@ -86,7 +83,8 @@ def world_model(parameters: Turtlebot3Parameters, bodies: Sequence[Body], obstac
     # Friction ten times as stiff as contacts (impratio), so that a robot does not creep down a slope.
     gravity = f"{-_GRAVITY * math.sin(angle)} 0 {-_GRAVITY * math.cos(angle)}"
     motors = "".join(_motor(_part(body, side), parameters) for body in bodies for side in ("left", "right"))
-    sensors = "".join(_sensors(_part(body, "imu")) for body in bodies)
+    units = (_part(body, "imu") for body in bodies)
+    sensors = "".join(f'<gyro site="{imu}"/><accelerometer site="{imu}"/>' for imu in units)
     # These cost time without effect: sensors that nobody reads (`Physics.sense`), and, with a single robot, the search
     # for islands of contacts, as it is one island in any case.
     left_out = 'sensor="disable" island="disable"' if len(bodies) == 1 else 'sensor="disable"'
@@ -121,10 +119,6 @@ def _robot(body: Body, parameters: Turtlebot3Parameters) -> str:
       {_wheel(_part(body, "left"), left, half, parameters)}
       {_wheel(_part(body, "right"), right, -half, parameters)}
     </body>"""
-
-
-def _sensors(imu: str) -> str:
-    return f'<gyro site="{imu}"/><accelerometer site="{imu}"/>'
 
 
 def _obstacle(obstacle: Obstacle) -> str:

@@ -29,6 +29,7 @@ Message = Mapping[str, Any]
 _PAST = 1e-6
 _TWIST = "geometry_msgs/Twist"
 _JOINTS = "sensor_msgs/JointState"
+_CALMER = "Give the model a shorter time step, softer actuators or more damping; `python -m mujoco.viewer` shows it."
 #: From this value on (mjMAXVAL) MuJoCo rejects a command, and sets all to zero.
 _TOO_LARGE = 1e10
 
@@ -36,10 +37,8 @@ _TOO_LARGE = 1e10
 class RobotModel:
     """An MJCF model, read once for any number of robots.
 
-    Args:
-        path: of the file.
-        room: with obstacles around it, besides those in the model; None for none.
-        left, right: the joints of its wheels, if their names do not contain left and right.
+    A room has obstacles around it, besides those in the model. `left` and `right` are the joints of its wheels, if
+    their names do not contain left and right.
 
     Raises:
         LinkError: the file is not a model with actuators.
@@ -97,11 +96,7 @@ class ModelledRobot:
         self.services: Mapping[str, str] = MappingProxyType({})
 
     def command(self, topic: str, message: Message) -> None:
-        """Execute a command, until the next one.
-
-        Raises:
-            LinkError: a joint has no actuator.
-        """
+        """Execute a command, until the next one; raise a `LinkError` if a joint has no actuator."""
         self._reach()
         if topic == "cmd_vel":
             self._drive(float(message["linear"]["x"]), float(message["angular"]["z"]))
@@ -123,8 +118,7 @@ class ModelledRobot:
 
     @undivided
     def _start(self) -> None:
-        keyed = self._model.nkey > 0
-        if keyed:
+        if self._model.nkey:
             mujoco.mj_resetDataKeyframe(self._model, self._data, 0)
         else:
             mujoco.mj_resetData(self._model, self._data)
@@ -148,10 +142,7 @@ class ModelledRobot:
         except mujoco.FatalError as error:
             problem = f"MuJoCo gave up on the model: {' '.join(str(error).split())}"
             raise LinkError(problem, where=str(self.path), fix=MORE_MEMORY) from error
-        fix = (
-            "Give the model a shorter time step, softer actuators or more damping; `python -m mujoco.viewer` shows it."
-        )
-        check_physics(self._warnings, "model", where=str(self.path), fix=fix)
+        check_physics(self._warnings, "model", where=str(self.path), fix=_CALMER)
 
     @undivided
     def _step(self) -> None:
@@ -161,8 +152,7 @@ class ModelledRobot:
         self._steps += 1
 
     def _drive(self, linear: float, angular: float) -> None:
-        wheels = self._interface.wheels
-        if wheels is not None:
+        if (wheels := self._interface.wheels) is not None:
             turning = angular * wheels.separation / 2
             speeds = (linear - turning, linear + turning)
             for joint, sense, speed in zip((wheels.left, wheels.right), wheels.senses, speeds, strict=True):
@@ -204,7 +194,6 @@ class ModelledRobot:
         return wheels.senses[0] * left, wheels.senses[1] * right
 
     def _count_wheels(self, wheels: WheelPair) -> None:
-        """Add up the arcs of the wheels, as a robot's firmware does."""
         angles = self._wheel_angles()
         left, right = ((now - then) * wheels.radius for now, then in zip(angles, self._angles, strict=True))
         self._odometry = self._odometry.rolled(left, right, wheels.separation, 1 / STEPS_PER_SECOND)
@@ -269,14 +258,8 @@ class ModelledRobot:
         turned = np.empty(4)
         mujoco.mju_mat2Quat(turned, self._data.site_xmat[self._interface.gyroscope_site])
         w, x, y, z = turned.tolist()
-        return imu(
-            self._clock.now_ns,
-            (x, y, z, w),
-            angular,
-            linear,
-            self._imu_noise.of(self._clock.step),
-            self.parameters,
-        )
+        noise = self._imu_noise.of(self._clock.step)
+        return imu(self._clock.now_ns, (x, y, z, w), angular, linear, noise, self.parameters)
 
     def _scan(self) -> dict[str, Any]:
         self._reach()

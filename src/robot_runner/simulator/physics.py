@@ -43,13 +43,10 @@ if mujoco.get_mjcb_time() is None:
 
 
 def check_physics(warnings: npt.NDArray[np.int32], what: str, *, where: str, fix: str) -> None:
-    """Check that the physics has been right so far.
+    """Check that the physics of a robot or model (`what`) has been right so far.
 
-    Args:
-        warnings: the count of each warning of MuJoCo (a view of `data.warning.number`, as each look-up costs time).
-        what: the robot or model, for the message.
-        where: for the message.
-        fix: what to do if the physics diverged.
+    The count of each warning of MuJoCo is a view of `data.warning.number`, as each look-up costs time; `fix` is what to
+    do if the physics diverged.
 
     Raises:
         LinkError: the physics diverged, and MuJoCo went on after a silent reset; or it left contacts out.
@@ -139,11 +136,7 @@ class Physics:
 
     @undivided
     def advance(self, steps: int) -> None:
-        """Advance to this number of steps since the beginning; earlier ones are not repeated.
-
-        Raises:
-            LinkError: the physics went wrong.
-        """
+        """Advance to this number of steps, unless it is there already; raise a `LinkError` if it went wrong."""
         while steps >= len(self._rows[0]):
             self._keep([np.concatenate([each, np.empty_like(each)]) for each in self._rows])
         model, data = self._model, self._data
@@ -161,7 +154,6 @@ class Physics:
         check_physics(self._warnings, "simulated robot", where="Turtlebot3Parameters", fix=fix)
 
     def _keep(self, rows: list[Floats]) -> None:
-        """Copy the traced values to these rows."""
         self._rows = rows
         # By memoryviews, as an assignment in NumPy takes twice as long, and this happens 57,000 times a run.
         pairs = zip(rows, self._traced, strict=True)

@@ -61,13 +61,7 @@ def hello_frame(*, sequence: int, time: int, rate: int, shunt: int, configuratio
     return _SYNC + checked + struct.pack("<H", binascii.crc_hqx(checked, _CHECKSUM_START))
 
 
-def sample_frames(
-    *,
-    sequences: Integers,
-    times: Integers,
-    shunts: Integers,
-    buses: Integers,
-) -> bytes:
+def sample_frames(*, sequences: Integers, times: Integers, shunts: Integers, buses: Integers) -> bytes:
     """Return many sample frames, one after the other, `SAMPLE_SIZE` bytes each.
 
     Args:
@@ -115,13 +109,8 @@ class Ina219Meter:
     """The device, switched on by its constructor, as opening the port of an Arduino resets it.
 
     Its sample numbers and its clock begin at 0 then. Samples are taken at points of the simulation's grid, as power is
-    known only there, with the noise of their moment: so no sample depends on when the port was opened.
-
-    Args:
-        clock: the simulation's clock.
-        supply: the currents and voltages at the sensor.
-        reach: computes `supply` up to a step of the simulation's grid.
-        noise: the noise of the sensor's converters.
+    known only there, with the noise of their moment: so no sample depends on when the port was opened. `reach` computes
+    the supply up to a step of the grid.
     """
 
     def __init__(

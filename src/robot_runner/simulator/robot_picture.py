@@ -21,10 +21,7 @@ _DISTANCE, _AZIMUTH, _ELEVATION = 1.1, 140.0, -30.0
 
 
 class RobotPicture:
-    """Renders the robot at any place.
-
-    Args:
-        width, height: of the pictures, pixels.
+    """Renders the robot at any place, in pictures of this width and height, pixels.
 
     Raises:
         Exception: this machine cannot render off screen; the type depends on its graphics library.

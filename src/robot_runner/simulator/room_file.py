@@ -50,15 +50,12 @@ def read_room(path: Path) -> Room:
 
 
 def room_of(described: Mapping[str, Any], *, where: str) -> Room:
-    """Return the room of plain data.
+    """Return the room of plain data; raise a `LinkError` if the data describe no room; `findings` lists all problems.
 
     Example:
         >>> room = room_of({"cylinder": [{"at": [1.0, 0.0], "radius": 0.1}]}, where="room.toml")
         >>> room.obstacles
         (Cylinder(x=1.0, y=0.0, radius=0.1, height=0.5),)
-
-    Raises:
-        LinkError: the data describe no room; `findings` lists all problems.
     """
     reading = _Reading(where)
     for unknown in described.keys() - _TABLES.keys():
@@ -72,13 +69,11 @@ def room_of(described: Mapping[str, Any], *, where: str) -> Room:
         robots[namespace] = pose
     room = Room(obstacles, MappingProxyType(robots))
     _check_starts(room, reading)
-    if reading.findings:
-        raise LinkError.of_findings(reading.findings)
+    LinkError.refuse(reading.findings)
     return room
 
 
 def _check_starts(room: Room, reading: _Reading) -> None:
-    """Check that there is no obstacle or other robot where a robot starts."""
     starts = dict(room.robots) or {"": room.start("")}
     for namespace, pose in starts.items():
         if room.clearance(pose.x, pose.y) < _ROBOT_RADIUS:
@@ -102,7 +97,6 @@ class _Reading:
         self.findings.append(Finding.error(self.where, f"{what} {problem}", fix))
 
     def tables(self, described: Mapping[str, Any], kind: str, make: Callable[[_Table], Any]) -> list[Any]:
-        """Return the object made of each table of a kind."""
         given = described.get(kind, [])
         tables = given if isinstance(given, list) else [given]
         made = []

@@ -123,14 +123,9 @@ def _diagonal(variance: float) -> list[float]:
 
 
 class PublishedTopic:
-    """A topic with its type, its rate and its subscribers. Messages are made only for subscribers.
+    """A topic with its type, its rate (1/s) and its subscribers. Messages are made only for subscribers.
 
-    Args:
-        clock: the simulation's clock.
-        message_type: ROS name, such as `nav_msgs/Odometry`.
-        rate: messages a second.
-        make: returns the current message.
-        prepare: called before the first subscription; an exception refuses the subscription.
+    `make` returns the current message; `prepare` is called before a subscription, which an exception refuses.
     """
 
     def __init__(
@@ -160,11 +155,7 @@ class PublishedTopic:
         return listening
 
     def latest(self) -> dict[str, Any]:
-        """Return the current message, also without subscribers.
-
-        Raises:
-            LinkError: no message can be made.
-        """
+        """Return the current message, also without subscribers; raise a `LinkError` if no message can be made."""
         self._prepare()
         return self._make()
 

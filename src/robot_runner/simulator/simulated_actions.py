@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import partial
 from typing import ClassVar
 
@@ -19,13 +19,7 @@ from robot_runner.simulator.simulated_clock import ClockWorker, SimulatedClock
 
 
 class SimulatedActions:
-    """The actions of a simulation, for all its links.
-
-    Args:
-        clock: of the execution.
-        offered: the offered actions, by full name.
-        types: of messages.
-    """
+    """The actions of a simulation, for all its links: those that are offered, by full name."""
 
     def __init__(self, clock: SimulatedClock, offered: dict[str, SimulatedAction], types: GraphTypes) -> None:
         self._clock = clock
@@ -68,7 +62,7 @@ class SimulatedAction:
         self._clock = clock
         self._offered = offered
         self._workers: list[ClockWorker] = []
-        server.start = self._start
+        server.start = lambda work: self._workers.append(clock.work(work))
         server.connect(self)
 
     def close(self) -> None:
@@ -83,8 +77,7 @@ class SimulatedAction:
 
     def tell_feedback(self, execution: Execution, message: Message) -> None:
         """Pass on feedback at the current time: the sender of the goal gets it during its sleep."""
-        sender = self.senders.get(execution.key)
-        if sender is not None:
+        if (sender := self.senders.get(execution.key)) is not None:
             self._clock.after(0.0, partial(sender.take_feedback, message))
 
     def tell_status(self, executions: Sequence[Execution]) -> None:
@@ -95,12 +88,8 @@ class SimulatedAction:
 
     def tell_result(self, execution: Execution, result: ActionResult) -> None:
         """Pass on the result of a goal, after its feedback."""
-        sender = self.senders.pop(execution.key, None)
-        if sender is not None:
+        if (sender := self.senders.pop(execution.key, None)) is not None:
             self._clock.after(0.0, partial(sender.finish, result))
-
-    def _start(self, work: Callable[[], None]) -> None:
-        self._workers.append(self._clock.work(work))
 
 
 class _Client:
@@ -126,8 +115,7 @@ class _Client:
 
     def cancel(self, sent: SentGoal, timeout: float) -> None:
         del timeout
-        execution = self._served.server.find(sent.key)
-        if execution is not None:
+        if (execution := self._served.server.find(sent.key)) is not None:
             self._served.server.cancel(execution)
 
     def is_served(self) -> bool:

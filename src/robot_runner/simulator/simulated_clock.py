@@ -31,11 +31,7 @@ def tick_time(number: int, rate: int) -> int:
 class Ticker:
     """Calls a callback repeatedly on a simulated clock until it is closed.
 
-    Args:
-        clock: the simulated one.
-        due: returns the time (ns) of the n-th call.
-        callback: to call.
-        number: of the first call that may be in the future.
+    `due` returns the time (ns) of the n-th call; `number` is that of the first call that may be in the future.
     """
 
     def __init__(
@@ -71,10 +67,6 @@ class ClockWorker:
     """A thread on a simulated clock: it runs only while that clock is advanced, and no other thread runs then.
 
     So its actions have the same simulated times in each execution, whatever the load of the machine.
-
-    Args:
-        clock: that it may sleep on.
-        work: called in the thread.
     """
 
     def __init__(self, clock: SimulatedClock, work: Callable[[], None]) -> None:
@@ -87,11 +79,7 @@ class ClockWorker:
         clock.after(0.0, self._hand_over)
 
     def sleep(self, seconds: float) -> None:
-        """Sleep for this many simulated seconds; for its own thread.
-
-        Raises:
-            ActionCanceled: the worker was stopped.
-        """
+        """Sleep so many simulated seconds in its own thread; raise an `ActionCanceled` if the worker was stopped."""
         if not self._is_stopped:
             # At least one nanosecond: time must pass for all others, too.
             self._clock.after(max(seconds, 1 / _SECOND_NS), self._hand_over)
@@ -111,11 +99,9 @@ class ClockWorker:
             return
         self._go.release()
         if not self._back.acquire(timeout=_LONGEST_WORK):
-            raise LinkError(
-                f"what lives by the simulated clock does not come back to it within {_LONGEST_WORK:g} s",
-                where="the simulated clock",
-                fix="Wait on the run's clock in it, and for nothing else.",
-            )
+            problem = f"what lives by the simulated clock does not come back to it within {_LONGEST_WORK:g} s"
+            fix = "Wait on the run's clock in it, and for nothing else."
+            raise LinkError(problem, where="the simulated clock", fix=fix)
 
     def _run(self) -> None:
         sleep_by(self.sleep)

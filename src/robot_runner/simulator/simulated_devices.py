@@ -38,30 +38,19 @@ class SimulatedSerialLine:
         >>> simulation.close()
     """
 
+    is_simulated = True
+
     def __init__(self, simulation: Simulation, *, namespace: str = "") -> None:
         self._meter = simulation.turtlebot3(namespace).open_power_meter()
         self._is_closed = False
 
-    @property
-    def is_simulated(self) -> bool:
-        """Always true."""
-        return True
-
     def drain(self) -> list[Chunk]:
-        """Return all chunks since the last call, oldest first.
-
-        Raises:
-            LinkError: the line was closed.
-        """
+        """Return all chunks since the last call, oldest first; raise a `LinkError` if the line was closed."""
         self._check_open()
         return self._meter.arrived()
 
     def write(self, data: bytes) -> None:
-        """Send bytes to the meter.
-
-        Raises:
-            LinkError: the line was closed.
-        """
+        """Send bytes to the meter; raise a `LinkError` if the line was closed."""
         self._check_open()
         self._meter.write(data)
 
@@ -71,9 +60,8 @@ class SimulatedSerialLine:
 
     def _check_open(self) -> None:
         if self._is_closed:
-            raise LinkError(
-                "the line was closed", where="the simulated power meter", fix="Drain it before it is closed."
-            )
+            fix = "Drain it before it is closed."
+            raise LinkError("the line was closed", where="the simulated power meter", fix=fix)
 
 
 class SimulatedUtilisationSampler:
@@ -126,16 +114,13 @@ class SimulatedHost:
         >>> simulation.close()
     """
 
+    is_simulated = True
+
     def __init__(self, simulation: Simulation, *, namespace: str = "") -> None:
         self._robot = simulation.turtlebot3(namespace)
         self._clock = simulation.clock
         self._samplers = ExitStack()
         self._is_closed = False
-
-    @property
-    def is_simulated(self) -> bool:
-        """Always true."""
-        return True
 
     def sample_utilisation(self, rate: float) -> SimulatedUtilisationSampler:
         """Start sampling CPU and memory utilisation `rate` times a second, 200 at most.
@@ -144,15 +129,11 @@ class SimulatedHost:
             LinkError: the rate is out of range, or the link was closed.
         """
         if self._is_closed:
-            raise LinkError(
-                "the link was closed", where="the simulated on-board computer", fix="Use it before the run ends."
-            )
+            fix = "Use it before the run ends."
+            raise LinkError("the link was closed", where="the simulated on-board computer", fix=fix)
         if not 0 < rate <= _HIGHEST_RATE:
-            raise LinkError(
-                f"the sample rate is {rate!r} Hz",
-                where="the simulated on-board computer",
-                fix=f"Give a rate above 0 and up to {_HIGHEST_RATE} Hz.",
-            )
+            fix = f"Give a rate above 0 and up to {_HIGHEST_RATE} Hz."
+            raise LinkError(f"the sample rate is {rate!r} Hz", where="the simulated on-board computer", fix=fix)
         sampler = SimulatedUtilisationSampler(self._robot, self._clock, rate)
         self._samplers.callback(sampler.stop)
         return sampler
@@ -167,16 +148,9 @@ _READ_SIZE = 4096
 
 
 class MeterTerminal:
-    """A pseudo-terminal with the meter, which is switched on by each opening, as an Arduino is reset.
+    """A pseudo-terminal with a robot's meter, which is switched on by each opening, as an Arduino is reset.
 
-    Bytes that are not read in time are lost, as on a serial line.
-
-    Args:
-        simulation: of the robot.
-        namespace: of the robot.
-
-    Attributes:
-        port: its path, whose name shows that the meter is simulated.
+    Bytes that are not read in time are lost, as on a serial line. The name of its `port` shows that it is simulated.
 
     Example:
         >>> from robot_runner.simulator.simulated_turtlebot3 import Simulation

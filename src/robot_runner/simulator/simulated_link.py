@@ -91,12 +91,7 @@ class SimulatedTypes:
 
 
 class SimulatedTransport:
-    """The primitives of a graph link to a simulation, whose robots and offers are one graph.
-
-    Args:
-        simulation: with the robots.
-        namespace: of the robot that this link commands.
-    """
+    """The primitives of a link that commands a robot of a simulation, whose robots and offers are one graph."""
 
     has_threads = False
     encoding = Encoding.CDR
@@ -142,8 +137,7 @@ class SimulatedTransport:
     def call(self, service: str, service_type: str, request: Message, timeout: float) -> Message:
         """Call a service of the robot, or an offered one; it answers at once, so `timeout` never runs out."""
         del timeout
-        offered = self._simulation.offers.get(service)
-        if offered is not None:
+        if (offered := self._simulation.offers.get(service)) is not None:
             true, answer = offered
             _check_service_type(service, service_type, true)
             return answer(request)
@@ -221,7 +215,6 @@ class SimulatedTransport:
         return {f"{namespace}/{name}": topic for namespace, robot in robots for name, topic in robot.topics.items()}
 
     def _own_name(self, given: str, known: Iterable[str], *, kind: str) -> str:
-        """Return a name within the robot's namespace."""
         prefix = f"{self._robot.namespace}/"
         name = given.removeprefix(prefix)
         if prefix + name == given and name in known:
@@ -269,11 +262,7 @@ class _CommandPublisher:
         """Do nothing, as the publisher holds no resources."""
 
     def check_motors(self) -> None:
-        """Check that the motors of a robot that is driven over this link are on; raise the error only once.
-
-        Raises:
-            LinkError: they were switched off.
-        """
+        """Raise a `LinkError`, once, if the motors of a robot that is driven over this link were switched off."""
         cut_off, was_driving = self._robot.cut_off, self._is_driving
         if cut_off is None or not was_driving:
             return
@@ -312,11 +301,7 @@ def _check_service_type(service: str, given: str, true: str) -> None:
 
 
 def _standard_types() -> TypeCatalogue:
-    """Return the types of ROS 2, in which the embedded robot's messages are serialised.
-
-    Raises:
-        LinkError: `rosbags`, which has them, is not installed.
-    """
+    """Return the types of ROS 2, in which the embedded robot's messages are serialised; they need `rosbags`."""
     from robot_runner.ros.type_catalogue import TypeCatalogue  # noqa: PLC0415  # only for types that are not above
 
     return TypeCatalogue.of(2)

@@ -56,7 +56,6 @@ class _World:
         self._parameters = parameters
 
     def drive(self, namespace: str) -> DifferentialDrive:
-        """Return the body of the robot of this namespace."""
         made = self._drives[namespace] = DifferentialDrive(self._parameters, self.physics, self.numbers[namespace])
         return made
 
@@ -285,11 +284,9 @@ class Simulation:
         found = self.robot(namespace)
         if isinstance(found, SimulatedTurtlebot3):
             return found
-        raise LinkError(
-            f"the simulated robot is that of {found.path.name}, which has no power meter and no on-board computer",
-            where=f"robot {namespace!r}",
-            fix="Leave out what measures its power or its computer, or leave out model=.",
-        )
+        problem = f"the simulated robot is that of {found.path.name}, which has no power meter and no on-board computer"
+        fix = "Leave out what measures its power or its computer, or leave out model=."
+        raise LinkError(problem, where=f"robot {namespace!r}", fix=fix)
 
     def robot(self, namespace: str = "") -> SimulatedRobot:
         """Return the robot of this namespace, which is made by the first call.
@@ -298,9 +295,8 @@ class Simulation:
             LinkError: the simulation was closed, or its room has starts of robots, but none of this one.
         """
         if self._is_closed:
-            raise LinkError(
-                "the simulation was closed", where=f"robot {namespace!r}", fix="Connect to the robot within the run."
-            )
+            fix = "Connect to the robot within the run."
+            raise LinkError("the simulation was closed", where=f"robot {namespace!r}", fix=fix)
         name = namespace.strip("/")
         full = f"/{name}" if name else ""
         if full not in self._robots:
@@ -323,7 +319,6 @@ class Simulation:
             self.model = self.model.within(self.room)
 
     def _make(self, namespaces: Sequence[str]) -> None:
-        """Make the robots of one world."""
         if self.model is not None:
             from robot_runner.simulator.modelled_robot import ModelledRobot  # noqa: PLC0415  # only where asked for
 
@@ -337,11 +332,8 @@ class Simulation:
     def _check_room(self, namespace: str) -> None:
         declared = () if self.model is not None else self.room.robots
         if declared and namespace not in declared:
-            raise LinkError(
-                f"no robot {namespace or '/'!r} starts in the room",
-                where="the simulation",
-                fix=did_you_mean(namespace, declared) + " Or say in the room's file where it starts: [[robot]].",
-            )
+            fix = did_you_mean(namespace, declared) + " Or say in the room's file where it starts: [[robot]]."
+            raise LinkError(f"no robot {namespace or '/'!r} starts in the room", where="the simulation", fix=fix)
 
     def close(self) -> None:
         """Release all robots; closing twice does nothing. The clock can still be used."""

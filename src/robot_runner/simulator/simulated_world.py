@@ -134,7 +134,6 @@ def _state(path: Path | None) -> tuple[int, int] | None:
 
 @lru_cache(maxsize=16)
 def _read(room: Path | None, model: Path | None, left: str, right: str, *_: tuple[int, int] | None) -> _World:
-    """Read a world once for all runs with the same files."""
     from robot_runner.simulator.modelled_robot import RobotModel  # noqa: PLC0415  # it imports MuJoCo
     from robot_runner.simulator.room_file import read_room  # noqa: PLC0415  # it imports NumPy
 

@@ -91,12 +91,8 @@ def motor_power(torques: Floats, speeds: Floats, parameters: Turtlebot3Parameter
 
     A motor's current is proportional to its torque. It causes the loss I²R in the winding, and works against the
     voltage that the rotor induces. The winding's R is from the data sheet's stall figures, and the gears lose a share
-    of the rotor's power. A motor that is pushed returns nothing to the battery.
-
-    Args:
-        torques: of the left and the right wheel, N m, shape (steps, 2).
-        speeds: of the left and the right wheel, rad/s, shape (steps, 2).
-        parameters: of the robot.
+    of the rotor's power. A motor that is pushed returns nothing to the battery. Torques (N m) and speeds (rad/s) are
+    those of the left and the right wheel, shape (steps, 2).
     """
     current = torques * (parameters.motor_stall_current / parameters.motor_stall_torque)
     resistance = parameters.battery_voltage / parameters.motor_stall_current
@@ -213,19 +209,15 @@ _INITIAL_STEPS = 4096
 
 
 class PowerSupply:
-    """The power supply of the robot by its battery, computed on demand."""
+    """The power supply of the robot by its battery, of this `capacity` (Ah), computed on demand."""
 
     def __init__(self, model: PowerModel, battery: Battery, *, shunt: float) -> None:
         self._model = model
         self._battery = battery
+        self.capacity = battery.capacity
         self._shunt = shunt
         self._known = 0
         self._rows = np.empty((_INITIAL_STEPS, 4))
-
-    @property
-    def capacity(self) -> float:
-        """The battery's capacity in Ah, as far as it can be had at its temperature."""
-        return self._battery.capacity
 
     @property
     def power(self) -> Floats:
@@ -292,18 +284,8 @@ class ProtectedDrive:
     """Computes the body and its supply up to a step, and switches the motors off if the battery is too low.
 
     The voltage is checked once a second, at whole seconds of the simulation's clock, so that the result does not depend
-    on when the robot's state is requested. Robots of one world advance together, so all are checked when the state of
-    one is requested.
-
-    Args:
-        parameters: of the robot.
-        drive: its body.
-        model: of its power.
-        supply: its battery over time.
-        together: all the protected drives of its world, to which this one is added.
-
-    Attributes:
-        cut_off: the time and the voltage at which the motors were switched off; None while they are on.
+    on when the robot's state is requested. Robots of one world advance together, so all (`together`, to which this one
+    is added) are checked when the state of one is requested. `cut_off` is None while the motors are on.
     """
 
     def __init__(

@@ -206,14 +206,10 @@ _BLOCK = 256
 
 
 class NumberedNoise:
-    """Normal noise by number, such as the number of a step of the simulation's grid.
+    """Normal noise by number, such as that of a step of the simulation's grid: `width` values for each.
 
     The noise of a number does not depend on earlier calls: so the reading of a sensor at a moment does not depend on
     when the sensor was switched on.
-
-    Args:
-        entropy: of the stream.
-        width: the number of values for each number.
     """
 
     def __init__(self, entropy: Sequence[int], width: int) -> None:

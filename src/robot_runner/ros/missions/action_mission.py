@@ -152,8 +152,7 @@ class ActionMission(RobotSystem):
 
     def _check_names(self) -> None:
         names = [measure.name for measure in self.measures]
-        twice = sorted({name for name in names if names.count(name) > 1})
-        if twice:
+        if twice := sorted({name for name in names if names.count(name) > 1}):
             fix = f"Call it otherwise than {listed(name for name in dict.fromkeys(names))}."
             raise PluginError(f"two of its measures are named {twice[0]!r}", where=self.name, fix=fix)
 
@@ -239,7 +238,6 @@ class ActionMission(RobotSystem):
         return f"{self.name}, action {self.action}"
 
     def _executed(self, link: RobotLink, context: RobotRunnerContext) -> tuple[str, ActionResult | None]:
-        """Return the outcome of the goal, and its result if there is one."""
         try:
             self._goal = goal = link.send_goal(
                 self.action,
@@ -257,7 +255,10 @@ class ActionMission(RobotSystem):
         try:
             is_over = self._await_end(goal, link, context)
         except BaseException as fault:
-            self._cancel_after(fault)
+            try:
+                self._cancel()
+            except LinkError as error:  # which does not hide the first exception
+                fault.add_note(f"The goal could not be cancelled: {error}")
             raise
         if not is_over:
             self._cancel()
@@ -267,11 +268,7 @@ class ActionMission(RobotSystem):
         return ended.status.value, ended
 
     def _await_end(self, goal: Goal, link: RobotLink, context: RobotRunnerContext) -> bool:
-        """Wait until a goal is over, or return False where it takes too long.
-
-        Raises:
-            LinkError: there will be no result: its server is gone, say.
-        """
+        """Wait until a goal is over; return False if it takes too long, raise a `LinkError` if its server is gone."""
         clock = context.clock
         deadline, look_at = clock.now() + self.timeout_s, clock.now() + _LOOK_FOR_SERVER
         name = full_name(robot_namespace(context, self.namespace), self.action)
@@ -309,13 +306,6 @@ class ActionMission(RobotSystem):
         goal, self._goal = self._goal, None
         if goal is not None and not goal.status.is_over:
             goal.cancel(timeout=self.cancel_timeout_s)
-
-    def _cancel_after(self, fault: BaseException) -> None:
-        """Cancel the goal; a failure of this does not hide the first exception."""
-        try:
-            self._cancel()
-        except LinkError as error:
-            fault.add_note(f"The goal could not be cancelled: {error}")
 
 
 def _is_listed(link: RobotLink, full_name: str, *, unless_told: bool = False) -> bool:

@@ -19,8 +19,6 @@ from robot_runner.core.links.robot import Message
 _PREFIX = "result."
 _PAIR = 2
 _COUNT = "count"
-
-
 #: The functions that reduce the values of a feedback field to one.
 _OVER: Mapping[str, Callable[[Sequence[Any]], Any]] = MappingProxyType(
     {"first": itemgetter(0), "last": itemgetter(-1), "minimum": min, "maximum": max, "mean": fmean}
@@ -39,10 +37,7 @@ class _Taken:
 
 
 class ResultMeasures:
-    """Measures that are fields of a result.
-
-    Raises:
-        PluginError: a field's name is not valid.
+    """Measures that are fields of a result; raises a `PluginError` if a field's name is not valid.
 
     Example:
         >>> ResultMeasures({"ErrorCode": "error_code"}, where="Arm").values({"error_code": 0})
@@ -58,11 +53,7 @@ class ResultMeasures:
                 raise PluginError(f"result[{str(name)!r}] is {field!r}, which is not a field", where=where, fix=fix)
             plain = field.strip().removeprefix(_PREFIX)
             self._taken.append(_Taken(_as_measure(name, f"Field {plain!r} of the action's result."), "", plain))
-
-    @property
-    def measures(self) -> list[Measure]:
-        """What they are called."""
-        return [each.measure for each in self._taken]
+        self.measures = [each.measure for each in self._taken]
 
     def values(self, result: Message | None, *, is_reached: bool = True) -> dict[str, MeasureValue]:
         """Return the value of each measure; None where there is no result, or that of a goal that failed lacks it.
@@ -81,16 +72,10 @@ class ResultMeasures:
 
 
 class FeedbackMeasures:
-    """Measures of the feedback of one goal.
+    """Measures of the feedback of one goal; raises a `PluginError` if one of them is not valid.
 
-    Args:
-        wanted: for each measure `"count"` for the number of feedback messages, or a function and a field:
-            `("last", "number_of_recoveries")`. The functions are `first`, `last`, `minimum`, `maximum` and `mean`; the
-            latter three leave out NaN and infinite values.
-        where: the plugin, for errors.
-
-    Raises:
-        PluginError: one of them is not valid.
+    What is wanted is `"count"`, the number of feedback messages, or a function and a field, as in the example. The
+    functions are `first`, `last`, `minimum`, `maximum` and `mean`; the latter three leave out NaN and infinite values.
 
     Example:
         >>> feedback = FeedbackMeasures({"Recoveries": ("last", "number_of_recoveries")}, where="Navigation")
@@ -105,26 +90,17 @@ class FeedbackMeasures:
             _feedback(name, how, where)
             for name, how in _checked(wanted, "feedback", "{'Recoveries': ('last', 'number_of_recoveries')}", where)
         ]
+        self.measures = [each.measure for each in self._taken]
         self.begin()
 
-    @property
-    def measures(self) -> list[Measure]:
-        """What they are called."""
-        return [each.measure for each in self._taken]
-
-    @property
-    def count(self) -> int:
-        """How many messages came."""
-        return self._count
-
     def begin(self) -> None:
-        """Discard the feedback from before."""
-        self._count = 0
+        """Discard the feedback from before; `count` is how many messages came since."""
+        self.count = 0
         self._came: dict[str, list[Any]] = {each.measure.name: [] for each in self._taken}
 
     def take(self, message: Message) -> None:
         """Take one feedback message."""
-        self._count += 1
+        self.count += 1
         for each in self._taken:
             if each.over != _COUNT:
                 self._keep(each, self._came[each.measure.name], _value_of(message, each.field, self._where))
@@ -146,7 +122,7 @@ class FeedbackMeasures:
 
     def _value(self, each: _Taken) -> MeasureValue:
         if each.over == _COUNT:
-            return self._count
+            return self.count
         came = self._came[each.measure.name]
         value: MeasureValue = _OVER[each.over](came) if came else None
         return value
@@ -182,8 +158,7 @@ def _as_measure(name: str | Measure, description: str, unit: str = "") -> Measur
 def _value_of(message: Message, field: str, where: str) -> MeasureValue:
     """Return a field as a value of the run table: times in s, and None for a number that is not finite.
 
-    Raises:
-        LinkError: there is no such field, or it is neither a number nor a text.
+    A `LinkError` says that there is no such field, or that it is neither a number nor a text.
     """
     found = field_of(message, field, where=where)
     if is_time(found):

@@ -36,13 +36,9 @@ class StoppedWithOthers(RunInterrupted):
 
 @dataclass(slots=True)
 class JointMission:
-    """One of the missions that are executed together.
+    """One of the missions that are executed together: the name of its system, for errors, and its work.
 
-    Attributes:
-        name: of its system, for errors.
-        work: the mission; it sleeps on a `SharedClock`, or on the clock of a simulation.
-        error: its exception.
-        has_ended: whether it is over.
+    The work sleeps on a `SharedClock`, or on the clock of a simulation. `error` is its exception.
     """
 
     name: str
@@ -92,11 +88,7 @@ class SharedClock:
         return self._clock.now()
 
     def sleep(self, seconds: float) -> None:
-        """Sleep for so many seconds.
-
-        Raises:
-            StoppedWithOthers: another mission failed, or the run ends.
-        """
+        """Sleep for so many seconds; raise a `StoppedWithOthers` if another mission failed, or the run ends."""
         if not sleep_with_others(seconds):
             self._clock.sleep(seconds)
 
@@ -146,12 +138,7 @@ def _left_behind(missions: Sequence[JointMission]) -> list[str]:
 
 
 class _Together(ABC):
-    """The base of both ways of execution.
-
-    Attributes:
-        clock: the run's.
-        ended: the missions that are over, in the order of their ends.
-    """
+    """The base of both ways of execution; `ended` has the missions that are over, in the order of their ends."""
 
     def __init__(self, missions: Sequence[JointMission], clock: Clock) -> None:
         self.clock = clock
@@ -191,7 +178,6 @@ class _Together(ABC):
         self._rested.release()
 
     def _begin(self, mission: JointMission) -> None:
-        """Wait until a mission may begin."""
         self._check_stopped(mission)
 
     def _check_stopped(self, mission: JointMission) -> None:

@@ -208,8 +208,7 @@ class _BrokerOfOne:
     def doubt(self, owner: str, problem: str, fix: str, measures: Sequence[str]) -> None:
         del owner
         given = [measures] if isinstance(measures, str) else measures  # a text is one name, not a sequence of letters
-        named = [f"{self._name}.{name}" for name in given or self._measures]
-        if named:
+        if named := [f"{self._name}.{name}" for name in given or self._measures]:
             self._broker.doubt(self._together, f"{self._name}: {problem}", fix, named)
         else:
             self.warn("", problem, fix)

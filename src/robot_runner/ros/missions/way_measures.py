@@ -45,30 +45,17 @@ _FASTEST = 100.0
 
 
 class WayMeasures:
-    """Follows odometry or transforms, and laser scans, during a mission, as requested.
+    """Follows odometry or transforms, and laser scans, during a mission, as requested: None of a topic leaves it out.
 
-    Args:
-        odometry: topic of `nav_msgs/Odometry`, or None.
-        scan: topic of `sensor_msgs/LaserScan`, or None.
-        frames: instead of odometry the frame in which the robot moves, and the robot's own: `("map", "base_link")`.
-        where: the plugin, for errors.
-        tf_topic: the topic of the transforms.
-
-    Attributes:
-        measures: those that `end_mission` returns.
+    `frames` are, instead of odometry, the one in which the robot moves, and the robot's own: `("map", "base_link")`.
+    `measures` are those that `end_mission` returns; `where` is the plugin, for errors.
 
     Raises:
         PluginError: the frames are not a pair of names, or both odometry and frames are given.
     """
 
     def __init__(
-        self,
-        odometry: str | None,
-        scan: str | None,
-        frames: Sequence[str] | None,
-        *,
-        where: str,
-        tf_topic: str = "/tf",
+        self, odometry: str | None, scan: str | None, frames: Sequence[str] | None, *, where: str, tf_topic: str = "/tf"
     ) -> None:
         if frames is not None and (isinstance(frames, str) or len(frames) != _PAIR or not all(map(_is_name, frames))):
             fix = "Name the frame that stands still and the robot's: ('map', 'base_link')."
@@ -102,11 +89,7 @@ class WayMeasures:
             yield GraphNeed.published(self._scan, _SCAN, fix=_FIX)
 
     def begin(self, link: RobotLink, context: RobotRunnerContext, *, timeout: float) -> None:
-        """Subscribe, and wait at most `timeout` seconds for the robot's position.
-
-        Raises:
-            LinkError: it is not known in time.
-        """
+        """Subscribe, and wait for the robot's position; raise a `LinkError` if it is not known within `timeout` (s)."""
         self._closing.close()
         self._clock = context.clock
         self._way_before = self._closest = None

@@ -119,7 +119,11 @@ class Waypoints(SteeredSystem):
         self.command_topic, self.odometry_topic = command_topic, odometry_topic
         self.commands = (command_topic,)
         with_yaw = self.waypoints[-1].yaw is not None
-        self.measures = (*type(self).measures[: None if with_yaw else -1], *_legs(len(self.waypoints)))
+        legs = (
+            Measure(f"Leg{number}", "s", f"Duration of leg {number}: until waypoint {number} was reached.")
+            for number in range(1, len(self.waypoints) + 1)
+        )
+        self.measures = (*type(self).measures[: None if with_yaw else -1], *legs)
 
     def check(self, circumstances: Circumstances) -> Iterable[Finding]:
         """Yield findings: no robot; a start that differs between runs; yaws that are probably in degrees."""
@@ -191,7 +195,6 @@ class Waypoints(SteeredSystem):
         )
 
     def _driven(self, robot: Robot, context: RobotRunnerContext) -> list[float]:
-        """Drive the whole way, and return a value for each measure."""
         clock, odometer = context.clock, robot.odometer
         start, way_before, legs = odometer.pose(), odometer.travelled, [clock.now()]
         coarse_before = odometer.coarse.lengths
@@ -276,8 +279,3 @@ def _checked_waypoints(given: object, where: str) -> tuple[_Waypoint, ...]:
 
 def _is_number(value: object) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
-
-
-def _legs(count: int) -> Iterable[Measure]:
-    for number in range(1, count + 1):
-        yield Measure(f"Leg{number}", "s", f"Duration of leg {number}: until waypoint {number} was reached.")

@@ -99,7 +99,8 @@ class Simulation(OfTheRobot, System):
         self._reset = self._reset_demand()
         self._place = self._placing(is_placed=is_placed)
         self.pauses = pauses and self._dialect.pause is not None
-        self._check_figures()
+        check_numbers(self.name, tolerance_m=tolerance_m, tolerance_rad=tolerance_rad, timeout_s=timeout_s)
+        check_numbers(self.name, may_be_zero=True, lowest_real_time_factor=lowest_real_time_factor)
         self._time: WatchedTime | None = None
         self._reset_duration: float | None = None
         self._closing = ExitStack()
@@ -111,11 +112,9 @@ class Simulation(OfTheRobot, System):
             fix = "Name how its graph is reached: robot = 'ros2' (or ros1, dds, rosbridge)."
             yield Finding.error(where, "the simulator is on the robot's graph, and the experiment names no robot", fix)
         elif is_simulated(circumstances.robot):
-            yield Finding.warning(
-                where,
-                "the embedded robot begins each run anew: nothing is reset, and its time has no pace of its own",
-                "Leave the plugin out, or reach a simulator on a graph: --set robot=dds.",
-            )
+            problem = "the embedded robot begins each run anew: nothing is reset, and its time has no pace of its own"
+            fix = "Leave the plugin out, or reach a simulator on a graph: --set robot=dds."
+            yield Finding.warning(where, problem, fix)
         for each in circumstances.before(self):
             if isinstance(each, System) and not each.starts_nodes and not isinstance(each, Simulation):
                 problem = f"the simulator is reset once {each.name!r}, which is listed before it, has begun its run"
@@ -202,12 +201,12 @@ class Simulation(OfTheRobot, System):
             return
         lowest = measured.factor if measured.slowest is None else min(measured.factor, measured.slowest)
         if lowest < self.lowest_real_time_factor:
-            context.broker.doubt_run(
-                context.owner,
+            problem = (
                 f"the simulator's real-time factor fell to {lowest:.2f} (below {self.lowest_real_time_factor:g}): what "
-                "goes by real time, such as software under test, had more of it than on a real robot",
-                "Give the simulator more of a machine, a simpler world, or let all nodes live by its time.",
+                "goes by real time, such as software under test, had more of it than on a real robot"
             )
+            fix = "Give the simulator more of a machine, a simpler world, or let all nodes live by its time."
+            context.broker.doubt_run(context.owner, problem, fix)
 
     def make_safe(self, context: RobotRunnerContext) -> None:
         """Unpause the simulator, also in a process that was not connected before."""
@@ -221,7 +220,6 @@ class Simulation(OfTheRobot, System):
         return CLOCK_TOPIC, self.pose_topic
 
     def _reset_and_see(self, reset: Demand, link: RobotLink, namespace: str) -> float:
-        """Reset the simulator, check it, and return how long that took, s."""
         with ExitStack() as closing:
             pose = WatchedPose(link, self.pose_topic, namespace=namespace, model=self.robot)
             closing.callback(pose.close)
@@ -243,20 +241,16 @@ class Simulation(OfTheRobot, System):
             heard = None if self._time is None else self._time.earliest
             earliest = now if heard is None else heard
             if self.reset == "world" and earliest < before:
-                raise LinkError(
-                    f"resetting the world took the simulator's time back from {before:.3f} s to {earliest:.3f} s",
-                    where="the simulator",
-                    fix="Say so, and see that all its nodes stand it: reset='simulation'.",
-                )
+                problem = f"resetting the world took the simulator's time back from {before:.3f} s to {earliest:.3f} s"
+                fix = "Say so, and see that all its nodes stand it: reset='simulation'."
+                raise LinkError(problem, where="the simulator", fix=fix)
             if (now > before) if self.reset == "world" else (earliest < before):
                 return
             if time.monotonic() > deadline:
                 stood = "stands still" if now == before else "was not reset"
-                raise LinkError(
-                    f"the simulator's time {stood}: {before:.3f} s before the reset, {now:.3f} s after it",
-                    where=CLOCK_TOPIC,
-                    fix="Check whether it goes on; reset='world' leaves its time as it is.",
-                )
+                problem = f"the simulator's time {stood}: {before:.3f} s before the reset, {now:.3f} s after it"
+                fix = "Check whether it goes on; reset='world' leaves its time as it is."
+                raise LinkError(problem, where=CLOCK_TOPIC, fix=fix)
             time.sleep(_LOOK)
 
     def _demand(self, demand: Demand | None, link: RobotLink, namespace: str) -> None:
@@ -284,18 +278,12 @@ class Simulation(OfTheRobot, System):
             return None
         if self._dialect.place is None:
             fix = "Leave is_placed out, and let the world say where its robot starts."
-            raise PluginError(
-                f"{self._dialect.title} has no service known here to place a robot", where=self.name, fix=fix
-            )
+            problem = f"{self._dialect.title} has no service known here to place a robot"
+            raise PluginError(problem, where=self.name, fix=fix)
         if not self.robot:
             fix = "Name its model: robot='turtlebot3_burger'."
             raise PluginError("the robot is to be placed and not named", where=self.name, fix=fix)
         return self._dialect.place(self.robot, self.start)
-
-    def _check_figures(self) -> None:
-        metres, radians = self.tolerance_m, self.tolerance_rad
-        check_numbers(self.name, tolerance_m=metres, tolerance_rad=radians, timeout_s=self.timeout_s)
-        check_numbers(self.name, may_be_zero=True, lowest_real_time_factor=self.lowest_real_time_factor)
 
 
 def _went_back(before: float, now: float) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any
 
@@ -39,19 +39,13 @@ class Demand:
     refusal: Callable[[Message], str]
 
     def meet(self, link: RobotLink, *, namespace: str, timeout: float) -> None:
-        """Call the service.
-
-        Raises:
-            LinkError: there is no such service, it does not answer in time, or the simulator refuses.
-        """
+        """Call the service; raise a `LinkError` if there is none, it is late, or the simulator refuses."""
         name = self._awaited(link, namespace, time.monotonic() + timeout)
-        refused = self.refusal(link.call(name, self.service_type, self.request, timeout=timeout))
-        if refused:
+        if refused := self.refusal(link.call(name, self.service_type, self.request, timeout=timeout)):
             problem = f"the simulator refuses the request: {refused}"
             raise LinkError(problem, where=name, fix="Look at the simulator's output.")
 
     def _awaited(self, link: RobotLink, namespace: str, deadline: float) -> str:
-        """Return the name of the service, once it is discovered."""
         silent_until = min(deadline, time.monotonic() + _SILENT)
         while True:
             try:
@@ -66,8 +60,7 @@ class Demand:
     def _found(self, link: RobotLink, namespace: str) -> str:
         names = [full_name(namespace, each) for each in self.services]
         known = link.services()
-        there = [each for each in names if each in known]
-        if there:
+        if there := [each for each in names if each in known]:
             return there[0]
         end, below = "/" + names[0].rpartition("/")[2], f"{namespace_prefix(namespace)}/"  # not another robot's
         alike = [
@@ -104,24 +97,14 @@ class Dialect:
 
 
 def dialect_of(simulator: str, world: str) -> Dialect:
-    """Return the dialect of a simulator.
+    """Return the dialect of a simulator, a key of `DIALECTS`; raise a `PluginError` if there is no such simulator.
 
-    Args:
-        simulator: a key of `DIALECTS`.
-        world: the world's name, or the prefix of its services, where these depend on it.
-
-    Raises:
-        PluginError: there is no such simulator.
+    `world` is the world's name, or the prefix of its services, where these depend on it.
     """
     if simulator not in DIALECTS:
         fix = did_you_mean(str(simulator), DIALECTS)
         raise PluginError(f"{simulator!r} is not a simulator that is known", where="Simulation", fix=fix)
     return DIALECTS[simulator](world)
-
-
-def _nothing_to_refuse(response: Message) -> str:
-    del response
-    return ""
 
 
 def _unless_true(key: str) -> Callable[[Message], str]:
@@ -153,33 +136,28 @@ def _by_empty(title: str, prefix: str, hint: str, place: Callable[[str, Spot], D
     """Return a dialect of services with empty requests, below a prefix or in the namespace of the simulator's node."""
 
     def call(name: str) -> Demand:
-        return Demand((f"{prefix}{name}", f"/{name}"), "std_srvs/Empty", {}, _nothing_to_refuse)
+        return Demand((f"{prefix}{name}", f"/{name}"), "std_srvs/Empty", {}, lambda _: "")
 
     pause, unpause = call("pause_physics"), call("unpause_physics")
     return Dialect(title, pause, unpause, call("reset_world"), call("reset_simulation"), place, hint)
 
 
-def _gazebo_classic(world: str) -> Dialect:
-    del world
-    # In ROS 1 the services are below /gazebo, in ROS 2 in the namespace of gazebo_ros' node.
-    hint = "gazebo_ros; on ROS 2 placing a robot takes libgazebo_ros_state.so in the world"
-    return _by_empty("Gazebo classic", "/gazebo/", hint, _in_gazebo_classic)
-
-
-def _in_gazebo_classic(robot: str, spot: Spot) -> Demand:
+def _model_in_gazebo_classic(robot: str, spot: Spot) -> Demand:
     state = {"model_name": robot, "pose": _pose(spot), "reference_frame": "world"}
     services = ("/gazebo/set_model_state",)
     return Demand(services, "gazebo_msgs/SetModelState", {"model_state": state}, _unless_true("success"))
-
-
-def _gazebo_classic_ros2(world: str) -> Dialect:
-    return replace(_gazebo_classic(world), place=_entity_in_gazebo_classic)
 
 
 def _entity_in_gazebo_classic(robot: str, spot: Spot) -> Demand:
     state = {"name": robot, "pose": _pose(spot), "reference_frame": "world"}
     services = ("/gazebo/set_entity_state", "/set_entity_state")
     return Demand(services, "gazebo_msgs/SetEntityState", {"state": state}, _unless_true("success"))
+
+
+def _gazebo_classic(place: Callable[[str, Spot], Demand]) -> Dialect:
+    # In ROS 1 the services are below /gazebo, in ROS 2 in the namespace of gazebo_ros' node.
+    hint = "gazebo_ros; on ROS 2 placing a robot takes libgazebo_ros_state.so in the world"
+    return _by_empty("Gazebo classic", "/gazebo/", hint, place)
 
 
 def _gz(world: str) -> Dialect:
@@ -244,17 +222,12 @@ def _webots(world: str) -> Dialect:
     )
 
 
-def _robot_runner(world: str) -> Dialect:
-    del world
-    return _by_empty("robot-runner simulate", "", "robot-runner simulate turtlebot3")
-
-
 #: By the name in a config. Sources of the services' names and types: docs/decisions/0059.
 DIALECTS: Mapping[str, Callable[[str], Dialect]] = MappingProxyType(
     {
-        "robot_runner": _robot_runner,
-        "gazebo_classic": _gazebo_classic,
-        "gazebo_classic_ros2": _gazebo_classic_ros2,
+        "robot_runner": lambda _: _by_empty("robot-runner simulate", "", "robot-runner simulate turtlebot3"),
+        "gazebo_classic": lambda _: _gazebo_classic(_model_in_gazebo_classic),
+        "gazebo_classic_ros2": lambda _: _gazebo_classic(_entity_in_gazebo_classic),
         "gz": _gz,
         "webots": _webots,
         "isaac": _standard,

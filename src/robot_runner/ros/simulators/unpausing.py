@@ -52,8 +52,7 @@ def guard_pauses(robot: str, namespace: str, unpause: Demand, timeout: float, *,
 
 def guard_pauses_no_more(robot: str, namespace: str) -> None:
     """End the guardian of a simulator, which is not paused."""
-    guardian = _guardians.pop((robot, namespace), None)
-    if guardian is not None:
+    if (guardian := _guardians.pop((robot, namespace), None)) is not None:
         _tell(guardian, json.dumps(None))
         with suppress(BrokenPipeError, subprocess.TimeoutExpired):  # the guardian will end, as it has been told to
             guardian.communicate(timeout=_ENDING)
@@ -69,14 +68,10 @@ def _tell(guardian: subprocess.Popen[str], line: str) -> None:
 def unpause_from_elsewhere(
     robot: str, namespace: str, unpause: Demand, timeout: float, *, signs: Sequence[str] = ()
 ) -> None:
-    """Call the service that unpauses a simulator, in a process that ends afterwards.
+    """Call the service that unpauses a simulator, in a process that ends afterwards; `timeout` is for its answer, s.
 
-    Args:
-        robot: how its graph is reached, as a config names it.
-        namespace: of the robot.
-        unpause: the service.
-        timeout: of its answer, s.
-        signs: topics of the simulator, where it may have ended: without them, there is nothing to unpause.
+    The graph of the robot is reached as a config names it. `signs` are topics of the simulator, where it may have
+    ended: without them, there is nothing to unpause.
 
     Raises:
         LinkError: the service was not called; the message says why.
@@ -92,11 +87,8 @@ def unpause_from_elsewhere(
     except subprocess.TimeoutExpired:
         reason, code = [f"no answer within {_CONNECTING + timeout:g} s"], _REFUSED
     if code != 0:
-        raise LinkError(
-            f"the simulator could not be told to go on: {reason[0]}",
-            where=f"robot {robot!r}",
-            fix=f"Let it go on by hand: call {unpause.services[0]} ({unpause.service_type}).",
-        )
+        fix = f"Let it go on by hand: call {unpause.services[0]} ({unpause.service_type})."
+        raise LinkError(f"the simulator could not be told to go on: {reason[0]}", where=f"robot {robot!r}", fix=fix)
 
 
 def _told(robot: str, namespace: str, unpause: Demand, timeout: float, signs: Sequence[str]) -> dict[str, Any]:

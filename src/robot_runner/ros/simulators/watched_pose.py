@@ -35,14 +35,10 @@ def _of_pose(pose: Message) -> Spot:
 
 
 class WatchedPose:
-    """Receives the pose of a robot, from now on.
+    """Receives the pose of a robot from a topic, from now on.
 
-    Args:
-        link: to the graph.
-        topic: of the type nav_msgs/Odometry, geometry_msgs/Pose, PoseStamped, PoseWithCovarianceStamped, or
-            gazebo_msgs/ModelStates.
-        namespace: of the robot.
-        model: its name in the simulator, for a topic with the poses of all models.
+    It is of the type nav_msgs/Odometry, geometry_msgs/Pose, PoseStamped or PoseWithCovarianceStamped; or it is
+    gazebo_msgs/ModelStates, with the poses of all models, of which the robot's has a name in the simulator.
 
     Raises:
         LinkError: there is no such topic, or its type has no pose.
@@ -67,11 +63,9 @@ class WatchedPose:
             raise missing("topic", self._name, topics, where="the simulator", fix=fix)
         kind = topics[self._name]
         if kind not in readers:
-            raise LinkError(
-                f"{self._name} is of the type {kind}, which does not tell where a robot stands",
-                where="the simulator",
-                fix=f"Name another pose_topic. {did_you_mean(kind, readers)}",
-            )
+            problem = f"{self._name} is of the type {kind}, which does not tell where a robot stands"
+            fix = f"Name another pose_topic. {did_you_mean(kind, readers)}"
+            raise LinkError(problem, where="the simulator", fix=fix)
         self._read = readers[kind]
         self._subscription = link.subscribe(self._name, kind, self._take, is_prompt=True)
 
@@ -92,11 +86,9 @@ class WatchedPose:
                 return
             latest = self._latest
         if latest is None:
-            raise LinkError(
-                f"the simulator was reset, and nothing came on {self._name} within {timeout:g} s",
-                where="the simulator",
-                fix="Check whether it goes on, and whether its robot is still there.",
-            )
+            problem = f"the simulator was reset, and nothing came on {self._name} within {timeout:g} s"
+            fix = "Check whether it goes on, and whether its robot is still there."
+            raise LinkError(problem, where="the simulator", fix=fix)
         way, turn = distance_between(latest, spot)
         raise LinkError(
             f"the simulator did not reset: after {timeout:g} s the robot stands at ({latest[0]:.3f}, {latest[1]:.3f}, "
@@ -125,11 +117,7 @@ def _of_model(message: Message, model: str) -> Spot | None:
 
 
 def checked_spot(given: object) -> Spot:
-    """Return a place from a config, after checking it.
-
-    Raises:
-        PluginError: it is not valid.
-    """
+    """Return a place from a config, after checking it; raise a `PluginError` if it is not valid."""
     values = list(given) if isinstance(given, list | tuple) else []
     numbers = [float(each) for each in values if isinstance(each, int | float) and math.isfinite(each)]
     if len(values) != len(numbers) or len(numbers) != 3:  # noqa: PLR2004 - x, y and yaw

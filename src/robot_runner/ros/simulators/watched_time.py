@@ -15,11 +15,7 @@ _STRETCH = 1.0
 
 
 class WatchedTime:
-    """Receives `/clock` from now on.
-
-    Args:
-        link: to the graph.
-        tell: called with both times, s, if the simulator's time goes back during the measurement.
+    """Receives `/clock` from now on; `tell` is called with both times, s, if it goes back during the measurement.
 
     Attributes:
         factor: simulated seconds a real second, from the first to the last message of the measurement, or to its end

@@ -161,30 +161,22 @@ class BasicTurtlebot3(SteeredSystem):
             if other is self:
                 return  # the later of the two yields the finding
             if isinstance(other, BasicTurtlebot3) and other.namespace.strip("/") == own:
-                yield Finding.error(
-                    f"plugin {self.name}",
-                    f"the plugin operates the robot of the namespace '/{own}', and so does {other.name!r}",
-                    f"Give each its robot's namespace, as in {type(self).__name__}(namespace='/alice').",
-                )
+                problem = f"the plugin operates the robot of the namespace '/{own}', and so does {other.name!r}"
+                fix = f"Give each its robot's namespace, as in {type(self).__name__}(namespace='/alice')."
+                yield Finding.error(f"plugin {self.name}", problem, fix)
 
     def _check_tasks(self, circumstances: Circumstances) -> Iterator[Finding]:
         where = f"plugin {self.name}"
         is_bound = "task" in factors_of(self)
         treatments = None if self.task_factor is None or is_bound else circumstances.factors.get(self.task_factor)
         if treatments is not None and self.task is not None:
-            yield Finding.error(
-                where,
-                f"task={self.task!r} is given, and the factor {self.task_factor!r} varies the task",
-                "Leave out task=..., or give task_factor=None if that factor means something else.",
-            )
+            problem = f"task={self.task!r} is given, and the factor {self.task_factor!r} varies the task"
+            fix = "Leave out task=..., or give task_factor=None if that factor means something else."
+            yield Finding.error(where, problem, fix)
         elif treatments is None and self.task is None and (circumstances.has_run_table or self.task_factor is None):
-            yield Finding.error(
-                where,
-                f"there is no factor {self.task_factor!r} that names the task"
-                if self.task_factor
-                else "no task is given",
-                f"Give task={_KNOWN_TASKS[0]!r} (or another task), or name the factor with task_factor=...",
-            )
+            none = f"there is no factor {self.task_factor!r} that names the task"
+            fix = f"Give task={_KNOWN_TASKS[0]!r} (or another task), or name the factor with task_factor=..."
+            yield Finding.error(where, none if self.task_factor else "no task is given", fix)
         if self.task is not None:
             yield from _unknown_tasks(where, [self.task])
         yield from _unknown_tasks(f"factor {self.task_factor!r}", treatments or ())
@@ -194,11 +186,8 @@ class BasicTurtlebot3(SteeredSystem):
         chosen = self.task if factor is None else context.combination.get(factor, self.task)
         task = None if chosen is None else Task.named(chosen)
         if task is None:
-            raise PluginError(
-                f"{chosen!r} is not a task of the robot",
-                where=self.name,
-                fix=did_you_mean(str(chosen), _KNOWN_TASKS),
-            )
+            fix = did_you_mean(str(chosen), _KNOWN_TASKS)
+            raise PluginError(f"{chosen!r} is not a task of the robot", where=self.name, fix=fix)
         return task
 
 

@@ -5,14 +5,15 @@ from __future__ import annotations
 import csv
 import math
 from collections.abc import Callable
-from contextlib import AbstractContextManager, nullcontext
-from dataclasses import dataclass
+from contextlib import AbstractContextManager
+from dataclasses import dataclass, field
 from enum import Enum
 from typing import TYPE_CHECKING, TextIO
 
 from robot_runner.core.errors import LinkError, PluginError
 from robot_runner.core.events.context import Clock
 from robot_runner.measuring.parameter_checks import check_numbers
+from robot_runner.ros.graph_transport import is_simulated_time
 from robot_runner.ros.turtlebot3.motion import MAXIMUM_SPEED, MAXIMUM_TURN_RATE, TICK, Ramp
 
 if TYPE_CHECKING:
@@ -31,12 +32,7 @@ class PhaseKind(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Phase:
-    """One phase of a mission.
-
-    Attributes:
-        kind: the activity of the robot.
-        seconds: the duration, s.
-    """
+    """One phase of a mission: the activity of the robot, and its duration, s."""
 
     kind: PhaseKind
     seconds: float
@@ -164,26 +160,24 @@ class PhaseLog:
         self._file.flush()
 
 
+@dataclass(slots=True)
 class Performer:
     """Carries out one mission once."""
 
-    def __init__(self, mission: CircularMission, task: Task, robot: Robot, clock: Clock, log: PhaseLog) -> None:
-        self._mission = mission
-        self._task = task
-        self._robot = robot
-        self._clock = clock
-        self._log = log
+    mission: CircularMission
+    task: Task
+    robot: Robot
+    clock: Clock
+    log: PhaseLog
+    _aim: Pose = field(init=False)  # where the robot would be without errors
 
     def perform(
-        self,
-        announce: Callable[[int, Phase], None],
-        mark: Callable[[str], AbstractContextManager[object]] = nullcontext,
+        self, announce: Callable[[int, Phase], None], mark: Callable[[str], AbstractContextManager[object]]
     ) -> Performance:
         """Carry out the mission; the robot is stopped in any case.
 
-        Args:
-            announce: called with each phase as it begins.
-            mark: returns the context manager for a kind of phase, such as `context.phase`.
+        `announce` is called with each phase as it begins; `mark` returns the context manager for its kind:
+        `context.phase`.
 
         Raises:
             LinkError: the odometry fell silent, or the robot cannot be reached, does not move as commanded, or moves
@@ -192,37 +186,33 @@ class Performer:
         try:
             performance = self._perform(announce, mark)
         except BaseException as fault:
-            self._make_safe_after(fault)
+            try:
+                self.robot.make_safe()
+            except LinkError as error:  # which does not hide the first exception
+                fault.add_note(f"The robot could not be made safe: {error}")
             raise
-        self._robot.make_safe()
+        self.robot.make_safe()
         return performance
-
-    def _make_safe_after(self, fault: BaseException) -> None:
-        """Make the robot safe; a failure of this does not hide the first exception."""
-        try:
-            self._robot.make_safe()
-        except LinkError as error:
-            fault.add_note(f"The robot could not be made safe: {error}")
 
     def _perform(
         self, announce: Callable[[int, Phase], None], mark: Callable[[str], AbstractContextManager[object]]
     ) -> Performance:
-        odometer = self._robot.odometer
+        odometer = self.robot.odometer
         home, way_before = odometer.pose(), odometer.travelled
-        self._aim = home  # where the robot would be without errors
-        begun = due = self._clock.now()
-        for number, phase in enumerate(self._mission.phases, start=1):
+        self._aim = home
+        begun = due = self.clock.now()
+        for number, phase in enumerate(self.mission.phases, start=1):
             announce(number, phase)
-            start, due = self._clock.now(), due + phase.seconds
+            start, due = self.clock.now(), due + phase.seconds
             with mark(phase.kind.value):
                 self._carry_out(phase, due)
-            task = self._task if phase.kind is PhaseKind.TASK else None
-            self._log.add(phase, task, start, self._clock.now(), odometer.pose())
+            task = self.task if phase.kind is PhaseKind.TASK else None
+            self.log.add(phase, task, start, self.clock.now(), odometer.pose())
         performance = Performance(
-            duration=self._clock.now() - begun,
+            duration=self.clock.now() - begun,
             distance=odometer.travelled - way_before,
             pose_error=home.distance_to(odometer.pose()),
-            planned_distance=2 * self._mission.way_out.way,
+            planned_distance=2 * self.mission.way_out.way,
         )
         self._check_moved(performance)
         return performance
@@ -233,38 +223,31 @@ class Performer:
             case PhaseKind.SLEEP:
                 self._rest(due)
             case PhaseKind.TASK:
-                self._robot.tasks.start(self._task)
+                self.robot.tasks.start(self.task)
                 self._rest(due)
-                self._robot.tasks.stop(self._task)
+                self.robot.tasks.stop(self.task)
             case PhaseKind.FORWARD:
-                self._robot.pilot.drive(self._aim, self._mission.way_out, self._clock.now())
-                self._aim = self._aim.ahead(self._mission.way_out.way)
+                self.robot.pilot.drive(self._aim, self.mission.way_out, self.clock.now())
+                self._aim = self._aim.ahead(self.mission.way_out.way)
             case PhaseKind.ROTATE:
-                self._robot.pilot.turn(self._aim, self._mission.turn, self._clock.now())
-                self._aim = self._aim.turned(self._mission.turn.way)
+                self.robot.pilot.turn(self._aim, self.mission.turn, self.clock.now())
+                self._aim = self._aim.turned(self.mission.turn.way)
 
     def _rest(self, due: float) -> None:
-        settled, resting = self._clock.now() + _SETTLING, None
-        while (left := due - self._clock.now()) > TICK:
-            self._clock.sleep(min(left, _LOOK_PERIOD))
-            pose = self._robot.odometer.pose()
-            if self._clock.now() >= settled:
+        settled, resting = self.clock.now() + _SETTLING, None
+        while (left := due - self.clock.now()) > TICK:
+            self.clock.sleep(min(left, _LOOK_PERIOD))
+            pose = self.robot.odometer.pose()
+            if self.clock.now() >= settled:
                 resting = resting or pose
-                self._check_resting(resting.distance_to(pose))
-
-    def _check_resting(self, drift: float) -> None:
-        # A simulation's time may go by much faster than messages do.
-        if drift > _MOST_DRIFT and not getattr(self._clock, "is_simulated", False):
-            raise LinkError(
-                f"the robot moved by {drift:.2f} m while it was to stand still",
-                where="mission",
-                fix="See that nobody pushes it, and that nothing else commands it.",
-            )
+                # A simulation's time may go by much faster than messages do.
+                if (drift := resting.distance_to(pose)) > _MOST_DRIFT and not is_simulated_time(self.clock):
+                    problem = f"the robot moved by {drift:.2f} m while it was to stand still"
+                    fix = "See that nobody pushes it, and that nothing else commands it."
+                    raise LinkError(problem, where="mission", fix=fix)
 
     def _check_moved(self, performance: Performance) -> None:
         if performance.distance < _LEAST * performance.planned_distance:
-            raise LinkError(
-                f"the robot covered {performance.distance:.3f} m of {performance.planned_distance:.2f} m",
-                where="mission",
-                fix="Check whether its way is free, its motors are on, and its driver obeys the commands.",
-            )
+            problem = f"the robot covered {performance.distance:.3f} m of {performance.planned_distance:.2f} m"
+            fix = "Check whether its way is free, its motors are on, and its driver obeys the commands."
+            raise LinkError(problem, where="mission", fix=fix)

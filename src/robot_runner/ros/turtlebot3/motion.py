@@ -53,8 +53,7 @@ class Wheels:
     def get_ready(self, *, awaits: bool = True) -> None:
         """Wait for the subscriber of commands: its discovery may take seconds, which must not be measured.
 
-        Args:
-            awaits: whether a subscriber is waited for that nobody has seen yet, and whose type is not known.
+        Unless it `awaits`, it does not wait for a subscriber that nobody has seen yet, and whose type is not known.
         """
         message_type = self._type or self._subscribed_type()
         if isinstance(self._link, Advertiser) and (awaits or self._type is not None):
@@ -168,33 +167,19 @@ def _moving_time(seconds: float) -> float:
     return seconds - min(_LONGEST_SETTLING, seconds / 10)
 
 
+@dataclass(slots=True)
 class Pilot:
     """Moves one robot. Callers must call `stop` in the end, in any case.
 
-    Methods raise a `LinkError` if the odometry fell silent, or the robot cannot be reached or does not move.
-
-    Args:
-        wheels: of the robot.
-        odometer: of the robot.
-        clock: the run's.
-        where: the plugin, for errors.
-        limits: the greatest commands, m/s and rad/s.
+    Methods raise a `LinkError` if the odometry fell silent, or the robot cannot be reached or does not move. The limits
+    are the greatest commands, m/s and rad/s; `where` is the plugin, for errors.
     """
 
-    def __init__(
-        self,
-        wheels: Wheels,
-        odometer: Odometer,
-        clock: Clock,
-        *,
-        where: str = "robot",
-        limits: tuple[float, float] = (MAXIMUM_SPEED, MAXIMUM_TURN_RATE),
-    ) -> None:
-        self._where = where
-        self._limits = limits
-        self._wheels = wheels
-        self._odometer = odometer
-        self._clock = clock
+    wheels: Wheels
+    odometer: Odometer
+    clock: Clock
+    where: str
+    limits: tuple[float, float]
 
     def drive(self, start: Pose, ramp: Ramp, begun: float) -> None:
         """Drive straight from `start` along its heading; `begun` is when the way began on the run's clock.
@@ -204,7 +189,7 @@ class Pilot:
         """
 
         def steer(time: float) -> tuple[float, float]:
-            pose, (way, speed) = self._odometer.pose(), ramp.at(time)
+            pose, (way, speed) = self.odometer.pose(), ramp.at(time)
             along, across = _beside(start, pose)
             self._check_moving(way - along, ramp, f"{along:.2f} m", f"{way:.2f} m")
             heading = start.heading - math.atan2(across, _LOOK_AHEAD)
@@ -216,7 +201,7 @@ class Pilot:
         """Turn on the spot, from the heading of `start` by the way of `ramp` in rad."""
 
         def steer(time: float) -> tuple[float, float]:
-            pose, (way, rate) = self._odometer.pose(), ramp.at(time)
+            pose, (way, rate) = self.odometer.pose(), ramp.at(time)
             left = wrapped(start.heading + way - pose.heading)
             self._check_moving(abs(left), ramp, f"{way - left:.2f} rad", f"{way:.2f} rad")
             return 0.0, rate + _HEADING_GAIN * left
@@ -225,23 +210,21 @@ class Pilot:
 
     def stop(self) -> None:
         """Command zero; raise a `LinkError` if the robot cannot be reached."""
-        self._wheels.command(0.0, 0.0)
+        self.wheels.command(0.0, 0.0)
 
     def _check_moving(self, lag: float, ramp: Ramp, covered: str, due: str) -> None:
         # A simulation's time may go by much faster than messages do.
-        if lag > _LONGEST_LAG * abs(ramp.cruise) and not is_simulated_time(self._clock):
-            raise LinkError(
-                f"the robot does not move as it is commanded: it covered {covered} where {due} are due",
-                where=self._where,
-                fix="Check whether its way is free, its motors are on, and its driver obeys the commands.",
-            )
+        if lag > _LONGEST_LAG * abs(ramp.cruise) and not is_simulated_time(self.clock):
+            problem = f"the robot does not move as it is commanded: it covered {covered} where {due} are due"
+            fix = "Check whether its way is free, its motors are on, and its driver obeys the commands."
+            raise LinkError(problem, where=self.where, fix=fix)
 
     def _follow(self, steer: Callable[[float], tuple[float, float]], begun: float, seconds: float) -> None:
-        fastest, quickest = self._limits
-        while (left := begun + seconds - self._clock.now()) > TICK:
+        fastest, quickest = self.limits
+        while (left := begun + seconds - self.clock.now()) > TICK:
             speed, rate = steer(seconds - left)
-            self._wheels.command(_limited(speed, fastest), _limited(rate, quickest))
-            self._clock.sleep(min(_CONTROL_PERIOD, left))
+            self.wheels.command(_limited(speed, fastest), _limited(rate, quickest))
+            self.clock.sleep(min(_CONTROL_PERIOD, left))
         self.stop()
 
 

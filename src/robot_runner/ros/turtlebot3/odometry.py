@@ -57,13 +57,7 @@ def wrapped(angle: float) -> float:
 
 @dataclass(frozen=True, slots=True)
 class Pose:
-    """A place on the floor and a direction, in the frame of the odometry.
-
-    Attributes:
-        x: m.
-        y: m.
-        heading: rad, anticlockwise from the x axis.
-    """
+    """A place on the floor, m, and a direction, rad anticlockwise from the x axis, in the frame of the odometry."""
 
     x: float
     y: float
@@ -91,9 +85,8 @@ class Pose:
 class Unseen(NamedTuple):
     """The longest time without a position of the robot, though it changed.
 
-    Attributes:
-        seconds: by the stamps or the arrivals, whichever is less.
-        step: the distance of the positions before and after, m.
+    `seconds` is by the stamps or the arrivals, whichever is less; `step` is the distance of the positions before and
+    after, m.
     """
 
     seconds: float = 0.0
@@ -110,12 +103,7 @@ class Unseen(NamedTuple):
 
 
 class Jump(NamedTuple):
-    """A change of the robot's place from one message to the next.
-
-    Attributes:
-        step: its length, m.
-        seconds: how long it took, at most.
-    """
+    """A change of the robot's place from one message to the next: its length, m, and how long it took at most, s."""
 
     step: float = 0.0
     seconds: float = 0.0
@@ -175,13 +163,9 @@ class CoarseWay:
 
 
 def noise_finding(where: str, length: float, before: CoarseLengths, after: CoarseLengths) -> Finding | None:
-    """Return a finding if much of a way is noise, otherwise None.
+    """Return a finding of a plugin if much of a way is noise, otherwise None.
 
-    Args:
-        where: the plugin.
-        length: of the way, m.
-        before: by `CoarseWay`, when it began.
-        after: when it ended.
+    The length is in m; `before` and `after` are by `CoarseWay`, when the way began and ended.
 
     Example:
         >>> noise_finding("Go", 4.1, CoarseLengths(1.0, 1.0), CoarseLengths(5.0, 5.0)) is None
@@ -202,16 +186,13 @@ def noise_finding(where: str, length: float, before: CoarseLengths, after: Coars
 class Odometer:
     """Takes `nav_msgs/Odometry` and holds the robot's pose and the way it has covered.
 
-    Args:
-        clock: the run's clock.
-        timeout: how long, s, the odometry may be silent.
-        where: the plugin, for errors.
-        fastest: a change of the pose beyond this is a jump, m/s.
-        needs_heading: whether the robot is steered by its direction, which must then be valid. Of any other robot, the
-            velocity that it tells says as well how fast it is.
+    The odometry may be silent for `timeout` (s); a change of the pose beyond `fastest` (m/s) is a jump; `where` is the
+    plugin, for errors. If it `needs_heading`, the robot is steered by its direction, which must then be valid. Of any
+    other robot, the velocity that it tells says as well how fast it is.
 
     Attributes:
         on_pose: called with each pose and its time on the clock; None for no call.
+        travelled: the way covered since the first message, m.
         set_back: the most by which the stamps went back from one message to the next, s.
         unseen: the longest time without a message in which the place changed.
         coarse: the same way, measured coarsely.
@@ -233,7 +214,7 @@ class Odometer:
         self._where = where
         self._pose: Pose | None = None
         self._received_at = clock.now()
-        self._travelled = 0.0
+        self.travelled = 0.0
         self._told_speed = 0.0
         self._height = 0.0
         self._lost: tuple[str, str] | None = None
@@ -256,7 +237,7 @@ class Odometer:
             # The stamps count, as messages may come in bursts; or their arrival, where a robot sends none.
             seconds = max(later := (stamp - self._stamp) * 1e-9, now - self._received_at)
             step = math.hypot(self._pose.distance_to(pose), height - self._height)
-            self._travelled += step
+            self.travelled += step
             self.set_back = max(self.set_back, -later)
             # After a pause of the network arrivals are far apart, where a clock was set stamps are.
             silence = now - self._received_at
@@ -270,11 +251,6 @@ class Odometer:
         self._stamp = stamp
         if self.on_pose is not None:
             self.on_pose(self._received_at, pose)
-
-    @property
-    def travelled(self) -> float:
-        """The way covered since the first message, m."""
-        return self._travelled
 
     @property
     def _fastest_possible(self) -> float:
@@ -299,29 +275,21 @@ class Odometer:
                 fix="See that one robot only publishes it, and that nothing sets it again while a run goes on.",
             )
         if self._steps_back > _MOST_STEPS_BACK:
-            raise LinkError(
-                f"the time stamps of the odometry went back {self._steps_back} times",
-                where=self._where,
-                fix="See that one robot only publishes it: give each robot a namespace of its own.",
-            )
+            problem = f"the time stamps of the odometry went back {self._steps_back} times"
+            fix = "See that one robot only publishes it: give each robot a namespace of its own."
+            raise LinkError(problem, where=self._where, fix=fix)
         silence = self._clock.now() - self._received_at
         if self._pose is None:
             fix = "Check whether the robot is on and publishes 'odom' on this graph: in this namespace and ROS domain."
             raise LinkError(f"no odometry arrived for {silence:.1f} s", where=self._where, fix=fix)
         if silence > self._timeout:
-            raise LinkError(
-                f"no odometry arrived for {silence:.1f} s (at most {self._timeout:g} s are allowed)",
-                where=self._where,
-                fix="Check whether the robot is on and its 'odom' topic is alive.",
-            )
+            problem = f"no odometry arrived for {silence:.1f} s (at most {self._timeout:g} s are allowed)"
+            fix = "Check whether the robot is on and its 'odom' topic is alive."
+            raise LinkError(problem, where=self._where, fix=fix)
         return self._pose
 
     def wait(self, patience: float) -> Pose:
-        """Return the robot's pose once it is known; wait at most `patience` seconds.
-
-        Raises:
-            LinkError: no odometry arrived in time.
-        """
+        """Return the robot's pose once it is known; raise a `LinkError` if it is not within `patience` seconds."""
         deadline = self._clock.now() + patience
         while self._pose is None and self._lost is None and self._clock.now() < deadline:
             self._clock.sleep(_POLL)
@@ -341,7 +309,6 @@ class Trajectory:
     """Records at most ten poses a second, and writes them when the mission is over.
 
     Example:
-        >>> from robot_runner.ros.turtlebot3.odometry import Pose
         >>> way = Trajectory()
         >>> for moment in (0.0, 0.03, 0.1):
         ...     way.add(moment, Pose(moment * 0.2, 0.0, 0.0))

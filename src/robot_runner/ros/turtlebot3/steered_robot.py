@@ -138,11 +138,7 @@ class TaskServices:
         self._namespace = namespace
 
     def check(self, task: Task, clock: Clock, *, where: str) -> None:
-        """Check that the robot offers the services of a task, before it has driven to where the task begins.
-
-        Raises:
-            LinkError: it does not, or they are of another type.
-        """
+        """Check that the robot offers the services of a task, before it has driven to where the task begins."""
         needs = [replace(need, name=full_name(self._namespace, need.name)) for need in required_services(task)]
         deadline = clock.now() + LONGEST_DISCOVERY
         while True:
@@ -169,11 +165,8 @@ class TaskServices:
     def _call(self, service: str) -> None:
         response = self._link.call(service, _TRIGGER)
         if not response.get("success", False):
-            raise LinkError(
-                f"the robot refused: {response.get('message') or 'no reason given'}",
-                where=f"service {service}",
-                fix="Look at the log of the task's node on the robot.",
-            )
+            problem = f"the robot refused: {response.get('message') or 'no reason given'}"
+            raise LinkError(problem, where=f"service {service}", fix="Look at the log of the task's node on the robot.")
 
 
 #: How long the graph may take to list the robot's subscription of commands, once its odometry arrives, s.
@@ -182,26 +175,11 @@ _LOOK_PERIOD = 0.1
 
 
 class Robot:
-    """One connected robot: its odometry, and its commands.
+    """One connected robot: its odometry, and its commands, of which `limits` are the greatest, m/s and rad/s.
 
-    Each method raises a `LinkError` if the robot cannot be reached any more.
-
-    Args:
-        link: to the robot.
-        odometer: takes its odometry.
-        clock: the run's.
-        namespace: the robot's.
-        where: the plugin, for errors.
-        command_topic: of its velocity commands.
-        pose_topic: of its odometry.
-        limits: the greatest commands, m/s and rad/s.
-        has_tasks: whether its computer offers the services of tasks, which are stopped with the robot.
-
-    Attributes:
-        odometer: takes the robot's odometry until the robot is closed.
-        pilot: moves it.
-        tasks: starts and stops its tasks.
-        control: checks that no other node commands it or publishes its pose.
+    Each method raises a `LinkError` if the robot cannot be reached any more. With `has_tasks` its computer offers the
+    services of tasks, which are stopped with the robot. `control` checks that no other node commands it or publishes
+    its pose; `where` is the plugin, for errors.
     """
 
     def __init__(  # noqa: PLR0913 - one keyword for each thing in which robots differ
@@ -223,13 +201,9 @@ class Robot:
         self._command_topic = full_name(namespace, command_topic)
         self.odometer = odometer
         self._wheels = Wheels(link, namespace=namespace, topic=command_topic)
-        self.pilot = Pilot(self._wheels, odometer, clock, where=where, limits=limits)
+        self.pilot = Pilot(self._wheels, odometer, clock, where, limits)
         self.control = SoleControl(
-            link,
-            namespace=namespace,
-            pose_topic=pose_topic,
-            command_topic=command_topic,
-            where=where,
+            link, namespace=namespace, pose_topic=pose_topic, command_topic=command_topic, where=where
         )
         self.tasks = TaskServices(link, namespace)
         self._has_tasks = has_tasks
@@ -241,11 +215,7 @@ class Robot:
         return is_simulation(self._link, self._namespace)
 
     def check_commands_subscribed(self, *, where: str) -> None:
-        """Check that velocity commands have a connected subscriber, before the mission begins.
-
-        Raises:
-            LinkError: they have none, or it subscribes neither type.
-        """
+        """Check that velocity commands have a connected subscriber of either type, before the mission begins."""
         topic, deadline = self._command_topic, self._clock.now() + _LISTING_SECONDS
         # The topic alone says nothing: others may publish it, also before the robot's subscription is discovered.
         while not any(each.may_be_others for each in self._link.subscribers(topic)):
@@ -277,12 +247,7 @@ class Robot:
 
 
 class SteeredSystem(RobotSystem):
-    """A system that steers a robot in a closed loop on its odometry, and writes its way to `trajectory.csv`.
-
-    Attributes:
-        commands: the topic that it commands, for `Together`, too.
-        odometry_topic: the topic by which it is steered.
-    """
+    """A system that steers a robot in a closed loop on its odometry, and writes its way to `trajectory.csv`."""
 
     commands: Sequence[str] = (COMMAND_TOPIC,)
     odometry_topic: str = POSE_TOPIC

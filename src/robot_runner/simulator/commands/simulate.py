@@ -73,9 +73,7 @@ def execute(arguments: Namespace) -> int:
         is_urdf = arguments.robot.endswith(".urdf")
         fix = _CONVERT if is_urdf else f"{did_you_mean(arguments.robot, _ROBOTS)} An MJCF file ends in {_MODEL}."
         raise UsageError(f"there is no simulated {arguments.robot!r}", where="robot-runner simulate", fix=fix)
-    findings = link_findings(SIMULATED)
-    if findings:
-        raise LinkError.of_findings(findings)
+    LinkError.refuse(link_findings(SIMULATED))
     from robot_runner.simulator.graph_robot import SimulatedPlace  # noqa: PLC0415 - an extra
     from robot_runner.simulator.graph_simulation import check_pace, on_graph  # noqa: PLC0415
 
