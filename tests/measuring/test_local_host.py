@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import os
+import sys
 import time
 from dataclasses import replace
 from itertools import pairwise
@@ -177,7 +178,7 @@ def jetson(monkeypatch, tmp_path):
     )
     listed = tmp_path / "online"
     listed.write_text("0,3-5\n", encoding="ascii")
-    monkeypatch.setattr(local_host, "_psutil", lambda: fake)
+    monkeypatch.setitem(sys.modules, "psutil", fake)
     monkeypatch.setattr(local_host, "_ONLINE", str(listed))
     return SimpleNamespace(times=times, online=online, listed=listed)
 

@@ -361,6 +361,17 @@ def test_a_program_ends_when_the_run_is_killed(tmp_path):
     assert not _is_alive(meter)
 
 
+def test_a_separator_that_comes_in_pieces_ends_a_record_as_a_whole_one_does(tmp_path):
+    output = tmp_path / "rows"
+    meter = MeterProcess(["sleep", "60"], output=output, folder=tmp_path, clock=SystemClock(), separator=";;")
+    with output.open("ab", buffering=0) as file:
+        for piece in (b"1", b",2;;;", b"4;", b";5"):  # no whole one follows the last, which is split
+            file.write(piece)
+            assert meter.wait(lambda: meter._offset == file.tell(), seconds=60.0)
+    meter.stop(signal.SIGINT, grace=1.0)
+    assert [(each.text, each.is_ended) for each in meter.records] == [("1,2", True), (";4", True), ("5", False)]
+
+
 def test_a_program_of_another_user_is_ended_through_sudo(tmp_path, monkeypatch):
     log = tmp_path / "sudo.log"
     sudo = tmp_path / "sudo"
@@ -437,6 +448,19 @@ def test_the_check_names_the_program_that_is_missing_and_how_to_get_it():
         ({"period_s": 0.0}, "period_s is 0.0"),
         ({"grace_s": -1.0}, "grace_s is -1.0"),
         ({"time": "when"}, "time is 'when' .* Give time a TimeColumn"),
+        ({"columns": ["watts"]}, "columns\\[0\\] is 'watts' .* Give columns\\[0\\] a CommandColumn"),
+        ({"origin": "estimated"}, "origin is 'estimated' .* Origin.ESTIMATED"),
+        ({"exit_codes": 0}, "exit_codes is 0 .* exit_codes=\\[0\\]"),
+        ({"exit_codes": None}, "exit_codes is None .* exit_codes=\\[0\\]"),
+        ({"exit_codes": ["0"]}, "exit_codes is \\['0'\\] .* exit_codes=\\[0\\]"),
+        ({"stop_signal": "SIGTERM"}, "stop_signal is 'SIGTERM', .* 'signal.SIGTERM'"),
+        ({"stop_signal": 35}, "stop_signal is 35, .* signal has no such member"),
+        ({"stop_signal": [2]}, "stop_signal is \\[2\\], .* signal has no such member"),
+        ({"stop_signal": True}, "stop_signal is True, .* signal has no such member"),
+        ({"separator": ""}, "separator is '' .* Give the text that ends a record"),
+        ({"separator": None}, "separator is None .* Give the text that ends a record"),
+        ({"parse": "csv"}, "parse is 'csv' .* Give parse a function, or leave it out"),
+        ({"output": 3}, "output is 3 .* Give output a str"),
     ],
 )
 def test_what_cannot_be_is_refused(settings, problem):

@@ -3,8 +3,10 @@ from __future__ import annotations
 import csv
 import json
 import random
+import sys
 from itertools import accumulate
 
+import numpy as np
 import pytest
 from tests.meters.fake_nvidia_driver import DRIVER_NOT_LOADED, FakeGpu, FakeNvidiaDriver, install
 from tests.meters.rehearsed import problems
@@ -210,12 +212,20 @@ def test_a_gpu_that_is_not_there_is_told(monkeypatch, clock):
 
 
 def test_a_machine_without_the_library_is_told_which_extra_brings_it(monkeypatch):
-    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    monkeypatch.setitem(sys.modules, "pynvml", None)
     (finding,) = Nvml().check(Circumstances())
     assert "robot-runner[nvml]" in finding.fix
 
 
-@pytest.mark.parametrize("settings", [{"gpus": []}, {"gpus": [-1]}, {"rate_hz": 0.0}])
+@pytest.mark.parametrize("gpus", [np.array([1, 0]), iter([1, 0]), [np.int64(1), 0]])
+def test_numbers_of_gpus_may_come_from_numpy_or_an_iterator(gpus):
+    assert Nvml(gpus=gpus).gpus == (1, 0)
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [{"gpus": []}, {"gpus": [-1]}, {"gpus": ["0"]}, {"gpus": [0.5]}, {"gpus": [True]}, {"rate_hz": 0.0}],
+)
 def test_what_cannot_be_is_refused(settings):
     with pytest.raises(PluginError):
         Nvml(**settings)

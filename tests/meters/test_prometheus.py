@@ -331,6 +331,13 @@ def test_what_cannot_be_is_refused(url, metrics):
         Prometheus(url, metrics)
 
 
+def test_a_metric_that_is_neither_a_text_nor_a_scraped_metric_is_refused_by_its_place():
+    with pytest.raises(PluginError) as caught:
+        Prometheus("http://robot:9100/metrics", ["node_load1", ("node_load5", "1")])
+    assert caught.value.problem == "metrics[1] is ('node_load5', '1')"
+    assert caught.value.fix == "Give metrics[1] a text or a ScrapedMetric."
+
+
 def test_a_combination_that_there_is_not_is_answered_with_the_nearest():
     with pytest.raises(PluginError) as caught:
         ScrapedMetric(selector="node_load1", combine="summ")

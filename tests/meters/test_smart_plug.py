@@ -312,6 +312,15 @@ def test_answers_that_come_without_end_are_told(broker, on_mqtt, monkeypatch):
         requests.ask()
 
 
+@pytest.mark.parametrize("on_mqtt", ["tasmota"], indirect=True)
+def test_a_message_that_is_far_too_long_for_an_answer_is_not_decoded(broker, on_mqtt, plug, monkeypatch):
+    """A broker passes on up to 256 MiB: 250 MB of JSON took 70 s and 5.6 GB."""
+    endless = {**plug.tasmota(), "beside": "x" * (2 << 20)}
+    monkeypatch.setattr(plug, "tasmota", lambda: endless)
+    finding = only_finding(SmartPlug("tasmota", broker=broker.url, topic=on_mqtt.topic, timeout_s=20.0))
+    assert "which is not JSON" in finding.problem
+
+
 def test_a_topic_that_nobody_answers_is_told(broker):
     finding = only_finding(SmartPlug("tasmota", broker=broker.url, topic="nobody", timeout_s=0.5))
     assert "no answer came on stat/nobody/STATUS10 within 0.5 s" in finding.problem

@@ -86,6 +86,14 @@ def test_fakes_stand_in_for_whatever_port_or_computer_a_plugin_names(tmp_path, c
     assert host.is_closed
 
 
+@pytest.mark.parametrize("message_type", [TWIST, "no_such_msgs/Type"])
+def test_raw_messages_of_a_closed_robot_are_refused_for_that_whatever_their_type(clock, message_type):
+    link = FakeRobotLink(clock)
+    link.close()
+    with pytest.raises(LinkError, match="the link was closed"):
+        link.subscribe_raw("cmd_vel", message_type, print)
+
+
 def test_a_device_on_a_serial_line_answers_what_it_is_sent(clock):
     replies = {b"P": b"12.5", b"V": b"12.0"}
     line = FakeSerialLine(clock, [Chunk(0.0, b"hello"), Chunk(3.0, b"bye")], answer=lambda sent: replies.get(sent, b""))

@@ -200,7 +200,7 @@ class SearchedSpace:
             factors, and of their treatments under which it applies.
 
     Example:
-        >>> from robot_runner.core.design.factor import Factor
+        >>> from robot_runner import Factor
         >>> space = SearchedSpace([Factor("Speed", [0.2, 0.1])], lambda combination: True)
         >>> space.combination((0,))["Speed"], space.places(space.combination((1,)))
         (0.1, (1,))
@@ -250,19 +250,14 @@ class SearchedSpace:
         while left:  # no condition depends on itself
             ordered += [each for each in left if not set(left) & set(by_name[each].when)]
             left = [each for each in left if each not in ordered]
-        return [
-            (
-                self._names[name],
-                [
-                    (
-                        self._names[other],
-                        [self._place_of[self._names[other]][text] for text in _named(by_name[other], wanted)],
-                    )
-                    for other, wanted in by_name[name].when.items()
-                ],
-            )
-            for name in ordered
-        ]
+        found = []
+        for name in ordered:
+            depends = [
+                (self._names[other], _named(by_name[other], wanted)) for other, wanted in by_name[name].when.items()
+            ]
+            conditions = [(place, [self._place_of[place][text] for text in texts]) for place, texts in depends]
+            found.append((self._names[name], conditions))
+        return found
 
     def _fitted(self, places: Sequence[int]) -> Places:
         """Return a combination in which factors that do not apply have no treatment."""
@@ -286,13 +281,9 @@ class SearchedSpace:
             return self._filled([], count, seed)
         seeds = [Random(f"{seed} {own}").getrandbits(32) for own in self._names]  # noqa: S311 - reproducible, not secret
         orders = [arranged(count, None, RunOrder(shuffle=True, seed=each)) for each in seeds]
+        pairs = list(zip(orders, self.active, strict=True))
         spread = [
-            self._fitted(
-                [
-                    round(order[number] * (levels - 1) / (count - 1))
-                    for order, levels in zip(orders, self.active, strict=True)
-                ]
-            )
+            self._fitted([round(order[number] * (levels - 1) / (count - 1)) for order, levels in pairs])
             for number in range(count)
         ]
         return self._filled([each for each in dict.fromkeys(spread) if self.is_allowed(each)], count, seed)

@@ -187,9 +187,8 @@ class Optimise:
     def _facts(self) -> dict[str, Any]:
         what = " and ".join(in_direction(name, each) for name, each in self.directions.items())
         at_a_time = "the next one is" if self.at_a_time == 1 else f"the next {self.at_a_time} are"
-        decides = (
-            f"once these are done, {at_a_time} where {what} is expected by then, up to {counted(self.runs, 'run')}"
-        )
+        up_to = f"up to {counted(self.runs, 'run')}"
+        decides = f"once these are done, {at_a_time} where {what} is expected by then, {up_to}"
         if self.confirm:
             beside = " and of the baseline" if self.baseline else ""
             decides += f"; then {counted(self.confirm, 'run')} of the best{beside}, which confirm it"

@@ -65,9 +65,8 @@ class Bound(Condition):
 
     def __post_init__(self) -> None:
         if not is_number(self.limit):
-            raise ConditionError(
-                f"{self.limit!r} is not a limit", where=str(self.quantity), fix="Give a finite number."
-            )
+            problem = f"{self.limit!r} is not a limit"
+            raise ConditionError(problem, where=str(self.quantity), fix="Give a finite number.")
         object.__setattr__(self, "every_s", self.quantity.every_s)
         object.__setattr__(self, "is_outside", self.quantity.is_outside)
 

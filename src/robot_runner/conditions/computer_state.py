@@ -7,6 +7,7 @@ from abc import abstractmethod
 from collections.abc import Callable, Iterable
 from contextlib import ExitStack
 from dataclasses import dataclass, field
+from functools import partial
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
@@ -134,8 +135,19 @@ class _OfComputer(Quantity):
         """Return what reads it; it may raise a LinkError."""
 
 
+class _OfAMoment(_OfComputer):
+    """A quantity of which no reading depends on the one before."""
+
+    def reader(self, link: LocalHost | SshHost) -> Callable[[], Reading]:
+        return partial(self.read, link)
+
+    @abstractmethod
+    def read(self, link: LocalHost | SshHost) -> Reading:
+        """Return a reading; it may raise a LinkError."""
+
+
 @dataclass(frozen=True)
-class _Temperature(_OfComputer):
+class _Temperature(_OfAMoment):
     sensor: str | None = None
 
     what = "temperature"
@@ -145,15 +157,14 @@ class _Temperature(_OfComputer):
     def __str__(self) -> str:
         return super().__str__() if self.sensor is None else f"the temperature at {self.sensor} of {self.computer}"
 
-    def reader(self, link: LocalHost | SshHost) -> Callable[[], Reading]:
-        def read() -> Reading:
-            paths, kinds = self._sensors(link)
-            texts = link.read_files(paths) if paths else []
-            values = [int(text) * _MILLI for text in texts if text and re.fullmatch(r"-?\d+", text.strip())]
-            plausible = [value for value in values if _COLDEST < value < _HOTTEST]
-            return max(plausible, default=self._silence(kinds))
-
-        return read
+    def read(self, link: LocalHost | SshHost) -> Reading:
+        paths, kinds = self._sensors(link)
+        texts = link.read_files(paths) if paths else []
+        values = [int(text) * _MILLI for text in texts if text and re.fullmatch(r"-?\d+", text.strip())]
+        plausible = [value for value in values if _COLDEST < value < _HOTTEST]
+        there = f"; it has {', '.join(kinds)}" if kinds and self.sensor is not None else ""
+        silent = f"{self.computer} does not report {'its temperature' if self.sensor is None else self.sensor}{there}"
+        return max(plausible, default=silent)
 
     def _sensors(self, link: LocalHost | SshHost) -> tuple[list[str], list[str]]:
         """Return the files with the temperature, and the types of all zones."""
@@ -166,10 +177,6 @@ class _Temperature(_OfComputer):
         elif not zones:  # many x86 computers have only hwmon
             zones = link.list_files("/sys/class/hwmon/hwmon*/temp*_input")
         return zones, sorted({kind for kind in kinds if kind})
-
-    def _silence(self, kinds: list[str]) -> str:
-        there = f"; it has {', '.join(kinds)}" if kinds and self.sensor is not None else ""
-        return f"{self.computer} does not report {'its temperature' if self.sensor is None else self.sensor}{there}"
 
 
 @dataclass(frozen=True)
@@ -213,25 +220,22 @@ def _psutil_times() -> tuple[float, float] | None:
 
 
 @dataclass(frozen=True)
-class _ClockOffset(_OfComputer):
+class _ClockOffset(_OfAMoment):
     what = "clock offset"
     unit = "s"
     low = 0.0
 
-    def reader(self, link: LocalHost | SshHost) -> Callable[[], Reading]:
+    def read(self, link: LocalHost | SshHost) -> Reading:
         from robot_runner.measuring.ssh_host import SshHost  # noqa: PLC0415  # as its module is loaded late
 
-        def read() -> Reading:
-            if not isinstance(link, SshHost):
-                return "the clock of this machine is the one that is compared with"
-            offset = link.clock_offset()
-            return abs(offset.wall_offset) + offset.uncertainty
-
-        return read
+        if not isinstance(link, SshHost):
+            return "the clock of this machine is the one that is compared with"
+        offset = link.clock_offset()
+        return abs(offset.wall_offset) + offset.uncertainty
 
 
 @dataclass(frozen=True)
-class ComputerBattery(_OfComputer):
+class ComputerBattery(_OfAMoment):
     """The charge of the battery of a computer; of several, the lowest."""
 
     what = "battery"
@@ -239,24 +243,20 @@ class ComputerBattery(_OfComputer):
     low, high = 0.0, _PERCENT
     _supplies: str = field(default="/sys/class/power_supply/*/capacity", repr=False)
 
-    def reader(self, link: LocalHost | SshHost) -> Callable[[], Reading]:
-        """Return what reads it."""
-
-        def read() -> Reading:
-            folders = [path.removesuffix("capacity") for path in link.list_files(self._supplies)]
-            wanted = [f"{folder}{name}" for folder in folders for name in ("capacity", "scope")]
-            texts = link.read_files(wanted) if wanted else []
-            # The battery of a mouse has the scope "Device".
-            charges = [
-                float(charge)
-                for charge, scope in zip(texts[::2], texts[1::2], strict=True)
-                if charge and charge.isdigit() and scope != "Device"
-            ]
-            if not charges and self.computer.host == LOCAL:
-                charges = _psutil_charge()
-            return min(charges, default=f"{self.computer} reports no battery")
-
-        return read
+    def read(self, link: LocalHost | SshHost) -> Reading:
+        """Return the charge."""
+        folders = [path.removesuffix("capacity") for path in link.list_files(self._supplies)]
+        wanted = [f"{folder}{name}" for folder in folders for name in ("capacity", "scope")]
+        texts = link.read_files(wanted) if wanted else []
+        # The battery of a mouse has the scope "Device".
+        charges = [
+            float(charge)
+            for charge, scope in zip(texts[::2], texts[1::2], strict=True)
+            if charge and charge.isdigit() and scope != "Device"
+        ]
+        if not charges and self.computer.host == LOCAL:
+            charges = _psutil_charge()
+        return min(charges, default=f"{self.computer} reports no battery")
 
 
 def _psutil_charge() -> list[float]:

@@ -63,11 +63,8 @@ class ComputerName:
         from robot_runner.measuring.local_host import LocalHost  # noqa: PLC0415  # see above
         from robot_runner.measuring.ssh_host import SshHost  # noqa: PLC0415  # see above
 
-        link = (
-            LocalHost(SystemClock())
-            if self.host == LOCAL
-            else SshHost(self.host, SystemClock(), config=self.ssh_config)
-        )
+        clock = SystemClock()
+        link = LocalHost(clock) if self.host == LOCAL else SshHost(self.host, clock, config=self.ssh_config)
         opened.callback(link.close)
         return link
 

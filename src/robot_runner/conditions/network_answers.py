@@ -77,9 +77,8 @@ def http_answers(url: str, *, status: int | None = None, text: str = "") -> Cond
         is_good, parts = False, urllib.parse.urlsplit("")
     if parts.username is not None or parts.password is not None:
         fix = "Leave the user and the password out, and await another status: status=401."
-        raise ConditionError(
-            f"the address of {parts.hostname} holds a user or a password", where="http_answers", fix=fix
-        )
+        problem = f"the address of {parts.hostname} holds a user or a password"
+        raise ConditionError(problem, where="http_answers", fix=fix)
     if not is_good or re.search(r"\s", url) or not (parts.path + parts.query).isascii():
         fix = "Give one such as 'http://localhost:8080/health', with other letters written as %C3%A4."
         raise ConditionError(f"{url!r} is not the address of a web server", where="http_answers", fix=fix)

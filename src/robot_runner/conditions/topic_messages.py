@@ -144,6 +144,7 @@ class _Listening:
     """A subscription for a condition, made as soon as possible, and ended with the watching.
 
     Args:
+        of: whose topic it is.
         take: gets each message; it must not raise.
 
     Attributes:
@@ -152,20 +153,16 @@ class _Listening:
 
     def __init__(
         self,
-        topic: str,
-        message_type: str,
+        of: _MessageOn | _TopicField,
         take: Callable[[Message], None],
-        *,
         context: RobotRunnerContext,
-        namespace: str,
         opened: ExitStack,
+        *,
         is_prompt: bool = True,
     ) -> None:
-        self._is_prompt = is_prompt
-        self._wanted = (topic, message_type, take)
-        self._context, self._namespace = context, namespace
-        self.name = full_name(robot_namespace(context, namespace), topic)
-        self._opened = opened
+        self._of, self._take, self._is_prompt = of, take, is_prompt
+        self._context, self._opened = context, opened
+        self.name = full_name(robot_namespace(context, of.namespace), of.topic)
         self._is_subscribed = False
         self._next = -math.inf
         self._problem = ""
@@ -182,8 +179,9 @@ class _Listening:
             return self._problem
         self._next = now + _AGAIN
         try:
-            link = connect_robot(self._context, namespace=self._namespace)
-            self._opened.callback(link.subscribe(*self._wanted, is_prompt=self._is_prompt).close)
+            link = connect_robot(self._context, namespace=self._of.namespace)
+            wanted = self._of.topic, self._of.message_type, self._take
+            self._opened.callback(link.subscribe(*wanted, is_prompt=self._is_prompt).close)
         except LinkError as error:
             if self._context.robot is None or is_simulated(self._context.robot):
                 raise
@@ -213,15 +211,8 @@ class _MessageOn(Condition):
 
     def watch(self, context: RobotRunnerContext, opened: ExitStack) -> LookAgain:
         seen = _Judged(self.predicate)
-        listening = _Listening(
-            self.topic,
-            self.message_type,
-            seen.take,
-            context=context,
-            namespace=self.namespace,
-            opened=opened,
-            is_prompt=self.predicate is None,  # which may take long
-        )
+        is_prompt = self.predicate is None  # which may take long
+        listening = _Listening(self, seen.take, context, opened, is_prompt=is_prompt)
 
         def look() -> Look:
             problem = listening.problem()
@@ -287,11 +278,7 @@ class _TopicField(Quantity):
         return check_robot_named(str(self), robot)
 
     def value_of(self, message: Message) -> Reading:
-        """Return the field of a message.
-
-        Raises:
-            ConditionError: it has no such field, or that is not a number.
-        """
+        """Return the field of a message; a `ConditionError` says that there is none, or that it is not a number."""
         return _number_at(message, self.field, str(self))
 
     def watch(self, context: RobotRunnerContext, opened: ExitStack) -> Callable[[], Reading]:
@@ -305,9 +292,7 @@ class _TopicField(Quantity):
             count, longest = count + 1, max(longest, now - newest[0][0]) if newest else 0.0
             newest[:] = [(now, message)]
 
-        listening = _Listening(
-            self.topic, self.message_type, take, context=context, namespace=self.namespace, opened=opened
-        )
+        listening = _Listening(self, take, context, opened)
 
         def read() -> Reading:
             problem = listening.problem()

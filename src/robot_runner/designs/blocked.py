@@ -35,8 +35,7 @@ class Blocks:
         by: the factors whose treatments are the blocks.
 
     Example:
-        >>> from robot_runner.core.design.factor import Factor
-        >>> from robot_runner.core.design.run_table_model import RunTableModel
+        >>> from robot_runner import Factor, RunTableModel
         >>> factors = [Factor("Day", ["Mon", "Tue", "Wed"]), Factor("Planner", ["A", "B", "C"])]
         >>> model = RunTableModel(factors, repetitions=2, design=Blocks("Day"))
         >>> [(run.combination["Day"], run.combination["Planner"]) for run in model.plan()][:4]
@@ -144,8 +143,7 @@ def _incomplete(
 def _balanced(treatments: int, size: int, count: int, seed: int | None) -> list[list[int]] | None:
     if size == 1 or pair_count(treatments, size, count) is None:
         return None
-    found = balanced_blocks(treatments, size, count)
-    if found is None:
+    if (found := balanced_blocks(treatments, size, count)) is None:
         return None
     labels = shuffled(range(treatments), seed, "treatments")
     return [[labels[each] for each in block] for block in shuffled(found, seed, "blocks")]
@@ -166,21 +164,20 @@ def _described(treatments: int, blocks: Sequence[Sequence[int]]) -> dict[str, An
     sizes = sorted(map(len, blocks))
     found, bound = efficiency(treatments, blocks), efficiency_bound(treatments, blocks)
     is_complete = all(block.count(each) == block.count(0) > 0 for block in blocks for each in range(treatments))
+    is_balanced = least == most and sizes[0] == sizes[-1]
     size = counted(sizes[0], "run") if sizes[0] == sizes[-1] else f"{sizes[0]} to {sizes[-1]} runs"
     if is_complete:
         words = f"complete blocks of {size}: each combination equally often in each"
-    elif least == most and sizes[0] == sizes[-1]:
-        words = (
-            f"balanced incomplete blocks of {size}: each pair together {counted(least, 'time')}, efficiency {found:.3f}"
-        )
+    elif is_balanced:
+        together = f"each pair together {counted(least, 'time')}"
+        words = f"balanced incomplete blocks of {size}: {together}, efficiency {found:.3f}"
     else:
-        words = (
-            f"incomplete blocks of {size}, not balanced: each pair together {least} to {most} times, efficiency "
-            f"{found:.3f} (no design of this size exceeds {bound:.3f})"
-        )
+        together = f"each pair together {least} to {most} times"
+        most_efficient = f"efficiency {found:.3f} (no design of this size exceeds {bound:.3f})"
+        words = f"incomplete blocks of {size}, not balanced: {together}, {most_efficient}"
     return {
         "is_complete": is_complete,
-        "is_balanced": least == most and sizes[0] == sizes[-1],
+        "is_balanced": is_balanced,
         "sizes": [sizes[0], sizes[-1]],
         "pairs": [least, most],
         "efficiency": round(found, 6),

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from itertools import combinations, product
 from math import prod
 from random import Random
@@ -46,7 +45,7 @@ class CoveringArray(Described):
         seed: of the random search.
 
     Example:
-        >>> from robot_runner.core.design.factor import Factor
+        >>> from robot_runner import Factor
         >>> factors = [Factor(name, range(3)) for name in "ABCD"]
         >>> len(CoveringArray(strength=2).choose(factors, lambda combination: True).combinations)
         9
@@ -78,7 +77,7 @@ class CoveringArray(Described):
         if self.strength == _PAIRS and constraints.is_free:
             from robot_runner.designs.covering_search import pairwise_array  # noqa: PLC0415 - its library is an extra
 
-            rows = [list(map(int, row)) for row in pairwise_array(levels, self.seed)]
+            rows = pairwise_array(levels, self.seed).tolist()
         else:
             DesignError.refuse(_size_findings(factors, self.strength))
             rows = self._rows(levels, constraints)
@@ -92,8 +91,7 @@ class CoveringArray(Described):
             return found
         from robot_runner.designs.covering_search import triples_array  # noqa: PLC0415 - its library is an extra
 
-        made = [list(map(int, row)) for row in triples_array(levels, self.seed)]
-        return min(found, _without_spare(made, _TRIPLES), key=len)
+        return min(found, _without_spare(triples_array(levels, self.seed).tolist(), _TRIPLES), key=len)
 
 
 def _size_findings(factors: Sequence[Factor], strength: int) -> Iterator[Finding]:
@@ -173,11 +171,9 @@ class _Constraints:
 def _asked(factors: Sequence[Factor], is_allowed: IsAllowed) -> set[tuple[int, ...]]:
     size = full_size(factors)
     if size > _MOST_ASKED:
-        problem = (
-            f"an exclusion is a function, which would be asked of {size:,} combinations; {_MOST_ASKED:,} is the most"
-        )
+        asked = f"an exclusion is a function, which would be asked of {size:,} combinations"
         fix = 'Give it as a mapping: {"Task": "Network", "Speed": 0.2}.'
-        raise DesignError(problem, where="exclude_combinations", fix=fix)
+        raise DesignError(f"{asked}; {_MOST_ASKED:,} is the most", where="exclude_combinations", fix=fix)
     place_of = [{id(each): place for place, each in enumerate(factor.treatments)} for factor in factors]
     return {
         tuple(places[id(each)] for places, each in zip(place_of, combination.treatments, strict=True))
@@ -195,8 +191,7 @@ def _greedy(levels: Sequence[int], strength: int, constraints: _Constraints, ran
     rows: list[list[int]] = []
     while open_tuples:
         wanted = Counter(cell for each in open_tuples for cell in each)
-        make = partial(_row, levels, strength, open_tuples, wanted, constraints)
-        candidates = [make(random) for _ in range(_CANDIDATES)]
+        candidates = [_row(levels, strength, open_tuples, wanted, constraints, random) for _ in range(_CANDIDATES)]
         covered = [[each for each in _tuples_of(row, strength) if each in open_tuples] for row in candidates]
         best = max(range(len(candidates)), key=lambda place: len(covered[place]))
         for each in covered[best]:
@@ -247,10 +242,7 @@ def _row(
 
 def _without_spare(rows: list[list[int]], strength: int) -> list[list[int]]:
     """Return the rows without redundant ones, whose tuples are all in other rows."""
-    times: dict[_Tuple, int] = {}
-    for row in rows:
-        for each in _tuples_of(row, strength):
-            times[each] = times.get(each, 0) + 1
+    times = Counter(each for row in rows for each in _tuples_of(row, strength))
     kept = []
     for row in rows:
         own = list(_tuples_of(row, strength))

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from functools import lru_cache
-from itertools import combinations, count, product
+from itertools import combinations, count, pairwise, product
 from math import comb
 
 import numpy as np
@@ -242,13 +242,10 @@ class _Completing:
     def _missing(self) -> list[int]:
         """Return the columns with uncovered pairs."""
         together = (self._is_set.T @ self._is_set) == 0
-        for start, end in zip(self._starts, self._starts[1:], strict=False):
+        spans = list(pairwise(self._starts))
+        for start, end in spans:
             together[start:end, start:end] = False
-        return [
-            column
-            for column, (start, end) in enumerate(zip(self._starts, self._starts[1:], strict=False))
-            if together[start:end].any()
-        ]
+        return [column for column, (start, end) in enumerate(spans) if together[start:end].any()]
 
     def _mark(self, column: int) -> None:
         start, end = self._starts[column], self._starts[column + 1]

@@ -47,8 +47,7 @@ class Crossover(Described):
         washout_in_s: the rest of a unit between two periods, in s, so that no effect of a treatment remains.
 
     Example:
-        >>> from robot_runner.core.design.factor import Factor
-        >>> from robot_runner.core.design.run_table_model import RunTableModel
+        >>> from robot_runner import Factor, RunTableModel
         >>> factors = [Factor("Robot", ["A", "B"]), Factor("Period", [1, 2]), Factor("Planner", ["old", "new"])]
         >>> model = RunTableModel(factors, design=Crossover("Robot", "Period", washout_in_s=60))
         >>> [run.combination["Planner"] for run in model.plan()]

@@ -34,17 +34,11 @@ def role_findings(design: str, roles: Sequence[tuple[str, Any]], factors: Sequen
             taken[name] = role
     for factor in factors:
         if factor.when and (factor.name in taken or set(factor.when) & set(taken)):
-            problem = (
-                f"factor {factor.name!r} applies in some runs only, and its condition concerns {listed_roles(taken)}"
-            )
+            concerned = " and ".join(map(repr, taken))
+            problem = f"factor {factor.name!r} applies in some runs only, and its condition concerns {concerned}"
             yield Finding.error(f"design: {design}", problem, "Make it a factor that applies always.")
     if len(taken) == len(known):
         yield Finding.error(f"design: {design}", "no factor is left to be studied", "Add one beside these.")
-
-
-def listed_roles(taken: Iterable[str]) -> str:
-    """Return the names of factors in words."""
-    return " and ".join(map(repr, taken))
 
 
 def refused(design: str, problem: str, fix: str) -> DesignError:
@@ -98,8 +92,8 @@ class Roles:
                 cell = cells[allowed.index(False)]
                 place = ", ".join(f"{factor.name}={each!r}" for factor, each in zip(self.blocks, cell, strict=True))
                 problem = f"{treatment} is excluded where {place}, and not everywhere: the design would not be balanced"
-                fix = f"Exclude by {listed_roles(factor.name for factor in self.studied)} alone."
-                raise refused(design, problem, fix)
+                studied = " and ".join(repr(factor.name) for factor in self.studied)
+                raise refused(design, problem, f"Exclude by {studied} alone.")
             if all(allowed):
                 left.append(treatment)
         if not left:

@@ -39,7 +39,7 @@ class FractionalFactorial:
             `{"Load": ["Speed", "Task", "Map"]}`.
 
     Example:
-        >>> from robot_runner.core.design.factor import Factor
+        >>> from robot_runner import Factor
         >>> factors = [Factor(name, [0, 1]) for name in "ABCDEFG"]
         >>> len(FractionalFactorial(resolution=3).choose(factors, lambda combination: True).combinations)
         8

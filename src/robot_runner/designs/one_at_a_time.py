@@ -27,7 +27,7 @@ class OneFactorAtATime:
             are left out have their first treatment, or the middle of their range.
 
     Example:
-        >>> from robot_runner.core.design.factor import Factor
+        >>> from robot_runner import Factor
         >>> factors = [Factor("Task", ["Video", "Network"]), Factor("Speed", [0.1, 0.2, 0.3])]
         >>> chosen = OneFactorAtATime(base={"Speed": 0.2}).choose(factors, lambda combination: True)
         >>> [str(combination) for combination in chosen.combinations][1]
@@ -52,9 +52,8 @@ class OneFactorAtATime:
             if name not in by_name:
                 yield Finding.error(where, f"there is no factor {name!r}", did_you_mean(str(name), by_name))
             elif not _is_treatment(by_name[name], value):
-                yield Finding.error(
-                    where, f"{value!r} is not a treatment of factor {name!r}", _fix(by_name[name], value)
-                )
+                problem = f"{value!r} is not a treatment of factor {name!r}"
+                yield Finding.error(where, problem, _fix(by_name[name], value))
 
     def choose(self, factors: Sequence[Factor], is_allowed: IsAllowed) -> ChosenCombinations:
         """Return the base and the combinations that differ from it in one factor."""

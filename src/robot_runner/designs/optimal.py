@@ -46,7 +46,7 @@ class DOptimal(choosing.Described):
         seed: of the random starts.
 
     Example:
-        >>> from robot_runner.core.design.factor import Factor
+        >>> from robot_runner import Factor
         >>> factors = [Factor("Task", ["Video", "Network", "Map"]), Factor("Speed", [0.1, 0.2]), Factor("Load", [0, 1])]
         >>> len(DOptimal(runs=6).choose(factors, lambda combination: True).combinations)
         6

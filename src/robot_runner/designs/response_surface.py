@@ -30,8 +30,7 @@ class CentralComposite(Described):
             corners); `faced` puts both at the ends, with three values for each factor.
 
     Example:
-        >>> from robot_runner.core.design.factor import Factor
-        >>> from robot_runner.core.design.numeric_range import Range
+        >>> from robot_runner import Factor, Range
         >>> factors = [Factor("Speed", Range(0.0, 1.0)), Factor("Load", Range(0.0, 1.0))]
         >>> len(CentralComposite(centre=3).choose(factors, lambda combination: True).combinations)
         11
@@ -74,8 +73,7 @@ class BoxBehnken(Described):
         centre: how often the centre is executed.
 
     Example:
-        >>> from robot_runner.core.design.factor import Factor
-        >>> from robot_runner.core.design.numeric_range import Range
+        >>> from robot_runner import Factor, Range
         >>> factors = [Factor(name, Range(0.0, 1.0)) for name in ("Speed", "Load", "Rate")]
         >>> len(BoxBehnken(centre=3).choose(factors, lambda combination: True).combinations)
         15
@@ -94,13 +92,12 @@ class BoxBehnken(Described):
 
     def choose(self, factors: Sequence[Factor], is_allowed: IsAllowed) -> ChosenCombinations:
         """Return the midpoints and centre points."""
-        points = []
-        for block in _BLOCKS[len(factors)]:
-            for signs in product((-1.0, 1.0), repeat=len(block)):
-                point = [0.0] * len(factors)
-                for place, sign in zip(block, signs, strict=True):
-                    point[place] = sign
-                points.append(point)
+        corners = [
+            dict(zip(block, signs, strict=True))
+            for block in _BLOCKS[len(factors)]
+            for signs in product((-1.0, 1.0), repeat=len(block))
+        ]
+        points = [[corner.get(place, 0.0) for place in range(len(factors))] for corner in corners]
         return _surface(self, factors, points, is_allowed, {})
 
 

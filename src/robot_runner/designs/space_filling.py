@@ -85,8 +85,7 @@ class LatinHypercube(_SpaceFilling):
         seed: of the random points.
 
     Example:
-        >>> from robot_runner.core.design.factor import Factor
-        >>> from robot_runner.core.design.numeric_range import Range
+        >>> from robot_runner import Factor, Range
         >>> factors = [Factor("Speed", Range(0.0, 9.0)), Factor("Load", Range(0.0, 9.0))]
         >>> chosen = LatinHypercube(runs=5).choose(factors, lambda combination: True)
         >>> len({combination["Speed"] for combination in chosen.combinations})
@@ -116,8 +115,7 @@ class Sobol(_SpaceFilling):
         seed: of the scrambling.
 
     Example:
-        >>> from robot_runner.core.design.factor import Factor
-        >>> from robot_runner.core.design.numeric_range import Range
+        >>> from robot_runner import Factor, Range
         >>> factors = [Factor("Speed", Range(0.0, 1.0)), Factor("Load", Range(0.0, 1.0))]
         >>> chosen = Sobol(runs=8).choose(factors, lambda combination: True)
         >>> sum(combination["Speed"] < 0.5 for combination in chosen.combinations)

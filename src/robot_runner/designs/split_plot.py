@@ -29,8 +29,7 @@ class SplitPlot:
             of combinations of the hard factors.
 
     Example:
-        >>> from robot_runner.core.design.factor import Factor
-        >>> from robot_runner.core.design.run_table_model import RunTableModel
+        >>> from robot_runner import Factor, RunTableModel
         >>> factors = [Factor("Plot", [1, 2]), Factor("Floor", ["wood", "carpet"]), Factor("Speed", [0.1, 0.2])]
         >>> [run.combination["Floor"] for run in RunTableModel(factors, design=SplitPlot("Floor", "Plot")).plan()]
         ['wood', 'wood', 'carpet', 'carpet']
@@ -129,7 +128,6 @@ class SplitPlot:
 def _uneven(hard: Sequence[str], combinations: int, plots: Factor) -> Exception:
     count = len(plots.treatments)
     below, above = count // combinations * combinations, (count // combinations + 1) * combinations
-    problem = (
-        f"{plots.name} has {count} whole plots, no multiple of the {combinations} combinations of {' x '.join(hard)}"
-    )
+    what = f"{combinations} combinations of {' x '.join(hard)}"
+    problem = f"{plots.name} has {count} whole plots, no multiple of the {what}"
     return refused("SplitPlot", problem, f"Have {f'{below} or ' if below else ''}{above} whole plots.")

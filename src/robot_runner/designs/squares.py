@@ -29,8 +29,7 @@ class LatinSquare(Described):
         columns: the factor whose treatments are the columns.
 
     Example:
-        >>> from robot_runner.core.design.factor import Factor
-        >>> from robot_runner.core.design.run_table_model import RunTableModel
+        >>> from robot_runner import Factor, RunTableModel
         >>> factors = [Factor(name, [1, 2, 3]) for name in ("Day", "Robot", "Planner")]
         >>> [run.combination["Planner"] for run in RunTableModel(factors, design=LatinSquare("Day", "Robot")).plan()]
         [1, 2, 3, 2, 3, 1, 3, 1, 2]
@@ -76,8 +75,7 @@ class GraecoLatinSquare(Described):
         greek: a third blocking factor that is spread over the square, such as the operator.
 
     Example:
-        >>> from robot_runner.core.design.factor import Factor
-        >>> from robot_runner.core.design.run_table_model import RunTableModel
+        >>> from robot_runner import Factor, RunTableModel
         >>> factors = [Factor(name, [1, 2, 3]) for name in ("Day", "Robot", "Operator", "Planner")]
         >>> model = RunTableModel(factors, design=GraecoLatinSquare("Day", "Robot", "Operator"))
         >>> [(run.combination["Operator"], run.combination["Planner"]) for run in model.plan()][:3]

@@ -7,13 +7,14 @@ from pathlib import Path
 from typing import Protocol, runtime_checkable
 
 from robot_runner.core.errors import LinkError
-from robot_runner.core.events.context import RobotRunnerContext, SystemClock
+from robot_runner.core.events.context import RobotRunnerContext
 from robot_runner.core.events.resources import Resources
-from robot_runner.core.links.connect import SIMULATED, is_simulated, lives_by_simulation, robot_namespace, run_robot
+from robot_runner.core.links.connect import SIMULATED, is_simulated, robot_namespace, run_robot
 from robot_runner.core.links.declared_host import LOCAL
 from robot_runner.core.links.kinds import link_key
 from robot_runner.core.links.robot_name import RobotName
 from robot_runner.measuring.host import HostLink
+from robot_runner.measuring.measured_machine import machine_clock
 from robot_runner.measuring.serial_line import SerialLine, SerialPort
 from robot_runner.measuring.ssh_host import SshHost
 
@@ -53,17 +54,12 @@ def open_serial_line(
         return context.resources.open(f"port {port}", lambda: SerialPort(port, context.clock, baud=baud))
     devices, name = _own_devices(context)
     if port is not None:
-        raise LinkError(
-            f"a simulated robot has no serial port {port!r}",
-            where=f"robot = {context.robot!r}",
-            fix="Leave the serial port out: it is the robot's own.",
-        )
+        problem = f"a simulated robot has no serial port {port!r}"
+        fix = "Leave the serial port out: it is the robot's own."
+        raise LinkError(problem, where=f"robot = {context.robot!r}", fix=fix)
+    within = robot_namespace(context, namespace)
     opener = partial(
-        devices.open_serial_line,
-        name,
-        resources=context.resources,
-        seed=context.run_seed,
-        namespace=robot_namespace(context, namespace),
+        devices.open_serial_line, name, resources=context.resources, seed=context.run_seed, namespace=within
     )
     return context.resources.open(link_key("serial", namespace), opener)
 
@@ -98,8 +94,7 @@ def connect_host(
 
 
 def _named_host(context: RobotRunnerContext, host: str, config: Path | None, form: str | None) -> HostLink:
-    # The clock of a simulation does not apply to a real computer.
-    clock = SystemClock() if lives_by_simulation(context) else context.clock
+    clock = machine_clock(context)
 
     def opener() -> HostLink:
         if host == LOCAL:
@@ -117,8 +112,5 @@ def _own_devices(context: RobotRunnerContext) -> tuple[BringsDevices, RobotName]
     kind, name = run_robot(context)
     if isinstance(kind, BringsDevices):
         return kind, name
-    raise LinkError(
-        f"robot is {context.robot!r}, which is not simulated, and what measures it is not named",
-        where="robot",
-        fix=_NAME_IT,
-    )
+    problem = f"robot is {context.robot!r}, which is not simulated, and what measures it is not named"
+    raise LinkError(problem, where="robot", fix=_NAME_IT)

@@ -63,18 +63,17 @@ def publish_measures(
     for phase in context.times.requested:
         windows = [each.window for each in context.times.phases(clock) if each.name == phase]
         windows = [each for each in windows if each.duration > 0]
-        _publish_phase(context, phase, windows, divided, evaluate, origin)
+        parts = [evaluate(each) for each in windows]
+        for measure in divided:
+            told = [part.get(measure.name) for part in parts]
+            value = _joined(told, windows, measure.over) if windows else None
+            context.publish(f"{measure.name}.{phase}", value, origin=origin)
         if len(times) and windows:
             _doubt(context, ends.doubts_about_phase(phase, windows), f".{phase}")
 
 
 def note_own_window(
-    context: RobotRunnerContext,
-    own: Window,
-    *,
-    measures: Sequence[str] = (),
-    clock: Clock | None = None,
-    fix: str = "",
+    context: RobotRunnerContext, own: Window, *, measures: Sequence[str] = (), clock: Clock | None = None, fix: str = ""
 ) -> None:
     """Mark values over a profiler's time from start to stop as doubtful, where that exceeds the mission by 1 %.
 
@@ -95,20 +94,6 @@ def note_own_window(
         if context.times.is_narrowed:
             usual = "Let the whole mission be what is measured: begin_window() and PlayBag(by='program') narrow it."
         context.doubt(problem, fix=fix or usual, measures=measures)
-
-
-def _publish_phase(
-    context: RobotRunnerContext,
-    phase: str,
-    windows: Sequence[Window],
-    measures: Sequence[Measure],
-    evaluate: Evaluate,
-    origin: Origin,
-) -> None:
-    values = [evaluate(window) for window in windows]
-    for measure in measures:
-        value = _joined([one.get(measure.name) for one in values], windows, measure.over) if windows else None
-        context.publish(f"{measure.name}.{phase}", value, origin=origin)
 
 
 def _doubt_slips(context: RobotRunnerContext, values: Mapping[str, MeasureValue], names: Sequence[str]) -> None:

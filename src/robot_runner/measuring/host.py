@@ -190,10 +190,14 @@ class ProcessHost(HostLink, Protocol):
         """Begin to sample the utilisation of the computer and of processes.
 
         Args:
-            rate: samples a second.
+            rate: samples a second, Hz.
             processes: what to look for: `pid:123`, `name:talker`, `node:/talker` (a ROS node, by the name that it was
                 given on its command line), or `subject:Nav` (software under test, with all that it has started).
             is_streamed: whether samples are sent at once, or kept on the computer until they are fetched.
+
+        Raises:
+            LinkError: the computer cannot be reached or sampled, the link is closed, the rate is not above 0, or a
+                selector holds a tab or the end of a line.
         """
 
 
@@ -208,7 +212,7 @@ class FileHost(Protocol):
         """Return the first line of each file, without the line's end; None for one that cannot be read."""
 
     def sample_files(self, rate: float, paths: Sequence[str], *, is_streamed: bool = False) -> FileSampler:
-        """Begin to read the first line of each file `rate` times a second."""
+        """Begin to read the first line of each file `rate` times a second; a `LinkError` as of `ProcessHost`."""
 
 
 #: The words before the colon of a selector.
@@ -245,11 +249,7 @@ def process_selector(process: str | int) -> str:
 
 
 def checked_words(words: Iterable[str]) -> list[str]:
-    """Return words as a list, if they can be sent on one line with tabs between.
-
-    Raises:
-        LinkError: one of them holds a tab or the end of a line, or is empty.
-    """
+    """Return words as a list; a `LinkError` says that one is empty, or holds a tab or the end of a line."""
     listed = list(words)
     for word in listed:
         if not word or any(character in word for character in "\t\n\0"):

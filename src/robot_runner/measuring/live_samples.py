@@ -29,7 +29,7 @@ class LiveSamples:
     Example:
         >>> import tempfile
         >>> from pathlib import Path
-        >>> from robot_runner.measuring.quality import Column
+        >>> from robot_runner.plugins import Column
         >>> with tempfile.TemporaryDirectory() as folder:
         ...     live = LiveSamples(Path(folder) / "samples.csv")
         ...     live.show(lambda: [Column("time_s", [0.5]), Column("power_W", [7.5])])

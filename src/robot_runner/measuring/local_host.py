@@ -22,13 +22,7 @@ from robot_runner.measuring.cpu_counters import (
     placed_cores,
     utilisation_of,
 )
-from robot_runner.measuring.host import (
-    SUBJECT_VARIABLE,
-    FileSample,
-    SamplingReport,
-    UtilisationSample,
-    checked_words,
-)
+from robot_runner.measuring.host import SUBJECT_VARIABLE, FileSample, SamplingReport, UtilisationSample, checked_words
 from robot_runner.measuring.on_board.loop import SCAN, YOUNG, is_node, names_of
 from robot_runner.measuring.periodic import PeriodicSampler, Sampling
 
@@ -71,19 +65,10 @@ class LocalProcesses:
             return []
         started, used = repr(process.create_time()), times.user + times.system
         reaped = times.children_user + times.children_system  # always 0 on macOS
-        return [
-            ProcessCounters(
-                place,
-                pid,
-                started,
-                used,
-                float(memory),
-                parent,
-                # Where children belong to the selector, so do those that started and ended between two readings.
-                reaped if self._selectors[place].startswith("subject:") else 0.0,
-            )
-            for place in places
-        ]
+        # Where children belong to the selector, so do those that started and ended between two readings.
+        children = [reaped if self._selectors[place].startswith("subject:") else 0.0 for place in places]
+        told = zip(places, children, strict=True)
+        return [ProcessCounters(place, pid, started, used, float(memory), parent, each) for place, each in told]
 
     def _scan(self, now: float) -> None:
         known, self._young_until = self._young_until, {}
@@ -251,7 +236,7 @@ class LocalHost:
 
         Args:
             rate: samples a second, Hz.
-            processes: what to look for: `pid:123`, `name:talker` or `node:/talker`.
+            processes: what to look for, as `ProcessHost` takes it.
             is_streamed: ignored: there is no network in between.
 
         Raises:
@@ -271,11 +256,7 @@ class LocalHost:
     def sample_files(
         self, rate: float, paths: Sequence[str], *, is_streamed: bool = False
     ) -> LocalSampler[list[str | None], FileSample]:
-        """Begin to read the first line of each file `rate` times a second.
-
-        Raises:
-            LinkError: the link was closed.
-        """
+        """Begin to read the first line of each file `rate` times a second; a `LinkError` once the link is closed."""
         del is_streamed
         listed = checked_words(paths)
 
@@ -283,9 +264,7 @@ class LocalHost:
             pairs = zip(sampling.times, sampling.readings, strict=True)
             return [FileSample(at, tuple(lines)) for at, lines in pairs]
 
-        return self._sampler(
-            lambda: list(map(_first_line, listed)), evaluate, rate, "files read in a thread of the run"
-        )
+        return self._sampler(lambda: self.read_files(listed), evaluate, rate, "files read in a thread of the run")
 
     def read_files(self, paths: Sequence[str]) -> list[str | None]:
         """Return the first line of each file, without the line's end; None for one that cannot be read."""
@@ -314,7 +293,10 @@ class _Counters:
     """Reads psutil's counters."""
 
     def __init__(self, selectors: Sequence[str]) -> None:
-        self._psutil = _psutil()
+        try:
+            self._psutil: Any = import_module("psutil")
+        except ModuleNotFoundError as error:
+            raise LinkError("psutil cannot be imported", where=LOCAL, fix=_INSTALL) from error
         self._processes = LocalProcesses(self._psutil, selectors) if selectors else None
         self.cores = int(self._psutil.cpu_count() or 1)
 
@@ -355,10 +337,3 @@ def _first_line(path: str) -> str | None:
             return file.readline(4096).rstrip("\n")
     except OSError:
         return None
-
-
-def _psutil() -> Any:
-    try:
-        return import_module("psutil")
-    except ModuleNotFoundError as error:
-        raise LinkError("psutil cannot be imported", where=LOCAL, fix=_INSTALL) from error

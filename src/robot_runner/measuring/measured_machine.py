@@ -93,20 +93,14 @@ def host_findings(
         []
     """
     where = f"plugin {plugin}"
+    if host is None and not is_simulated(robot):
+        return [Finding.error(where, "the plugin measures a computer, and none is named", _NAME_ONE)]
     if host is None:
-        return _on_board(where, robot, has_selection=has_selection)
+        problem = "the computer of a simulated robot does not report single processes or cores"
+        return [Finding.error(where, problem, "Leave processes and cores out.")] if has_selection else []
     findings = simulation_findings(plugin, robot)
     if host != LOCAL:
         return [*findings, *ssh_findings(where, host, config=ssh_config)]
     if importlib.util.find_spec("psutil") is None:
         findings.append(Finding.error(where, "psutil, which samples this machine, cannot be imported", _INSTALL))
     return findings
-
-
-def _on_board(where: str, robot: str | None, *, has_selection: bool) -> list[Finding]:
-    if not is_simulated(robot):
-        return [Finding.error(where, "the plugin measures a computer, and none is named", _NAME_ONE)]
-    if has_selection:
-        problem = "the computer of a simulated robot does not report single processes or cores"
-        return [Finding.error(where, problem, "Leave processes and cores out.")]
-    return []

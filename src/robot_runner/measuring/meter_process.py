@@ -216,7 +216,7 @@ class MeterProcess(ChildProgram):
         self._clock = clock
         self._separator = separator.encode()
         self._records: list[Record] = []
-        self._rest = b""
+        self._rest = bytearray()  # what comes without a separator is added to it without copying it each time
         self.unread = ""
         self._offset = 0
         errors = (folder / "stderr.txt").open("w+b")
@@ -257,5 +257,8 @@ class MeterProcess(ChildProgram):
             return
         now = self._clock.now()
         self._offset += len(fresh)
-        *whole, self._rest = (self._rest + fresh).split(self._separator)
-        self._records += [Record(now, piece.decode(errors="replace")) for piece in whole]
+        sought_from = max(0, len(self._rest) - len(self._separator) + 1)
+        self._rest += fresh
+        if self._rest.find(self._separator, sought_from) >= 0:
+            *whole, self._rest = self._rest.split(self._separator)
+            self._records += [Record(now, piece.decode(errors="replace")) for piece in whole]

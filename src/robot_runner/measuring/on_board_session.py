@@ -77,6 +77,8 @@ _LAST_WORDS = 2.0
 class OnBoardSession:
     """A process that samples the computer on which it runs, and answers requests meanwhile.
 
+    Each request raises a `LinkError` where the connection is lost, or no answer comes in time.
+
     Args:
         command: what starts a shell at the other end that executes `REMOTE_COMMAND`: ssh with its arguments.
         where: the computer, for messages.
@@ -121,36 +123,20 @@ class OnBoardSession:
         return self._listener.is_alive() and self._process.poll() is None
 
     def ask(self, *words: object, answer: str, patience: float = _PATIENCE) -> list[str]:
-        """Send one line and return the fields of the line that answers it.
-
-        Raises:
-            LinkError: the connection is lost, there is no answer in time, or the answer is a refusal.
-        """
+        """Send one line and return the fields of the line that answers it; a `LinkError` is also a refusal."""
         self._send("\t".join(map(str, words)) + "\n")
         return self._await(answer, patience)[0]
 
     def clock_offset(self) -> ClockOffset:
-        """Ask for the time a few times and return the offset of the computer's clock from the run's.
-
-        Raises:
-            LinkError: there is no answer.
-        """
+        """Ask for the time a few times and return the offset of the computer's clock from the run's."""
         return estimate_offset([self._exchange(number) for number in range(_EXCHANGES)])
 
     def end(self) -> None:
-        """Make the process stop sampling, without waiting.
-
-        Raises:
-            LinkError: the connection is lost.
-        """
+        """Make the process stop sampling, without waiting."""
         self._send("stop\n")
 
     def fetch(self) -> float | None:
-        """Wait, after `end`, until all samples are in `samples`; return the CPU time that sampling took, s, if known.
-
-        Raises:
-            LinkError: the connection is lost, or the process falls silent.
-        """
+        """Wait, after `end`, until all samples are in `samples`; return the CPU time of sampling, s, if known."""
         while True:
             try:
                 seconds = self._await("end", _PATIENCE)[0][0]
@@ -164,7 +150,7 @@ class OnBoardSession:
         """Fetch, like `fetch`, the samples that a session with a lost connection kept, and end its process.
 
         Raises:
-            LinkError: there is no such file, the connection is lost, or the process falls silent.
+            LinkError: also where the computer has no such file.
         """
         self._send(f"recover\t{path}\n")
         self.fetch()
@@ -177,9 +163,8 @@ class OnBoardSession:
         answer = self._answer()
         said = self._gist(answer)
         ended = "the loop fell silent" if code is None else f"the loop ended with code {code}"
-        return LinkError(
-            f"the connection is lost: {ended}{f': {said}' if said else ''}", where=self.where, fix=self._explain(answer)
-        )
+        problem = f"the connection is lost: {ended}{f': {said}' if said else ''}"
+        return LinkError(problem, where=self.where, fix=self._explain(answer))
 
     def close(self) -> None:
         """End the process at both ends; closing twice does nothing."""
@@ -222,11 +207,8 @@ class OnBoardSession:
         form = wanted or next((form for form in FORMS if form in offered), None)
         if form is None or form not in offered:
             lack = f"cannot be sampled by {wanted}" if wanted else "has neither Linux's /proc nor a usable ps"
-            raise LinkError(
-                f"the computer {lack}",
-                where=self.where,
-                fix=f"Choose among what it can: {', '.join(offered)}." if offered else "Install python3 there.",
-            )
+            fix = f"Choose among what it can: {', '.join(offered)}." if offered else "Install python3 there."
+            raise LinkError(f"the computer {lack}", where=self.where, fix=fix)
         self._send(f"{form}\n{_program(FORMS[form].program)}\n{_END}lease\t{_LEASE}\n")
         return form
 
@@ -265,12 +247,10 @@ class OnBoardSession:
             if words[0] == kind:
                 return words[1:], at
             if words[0] == "error":
-                raise LinkError(
-                    f"the computer cannot do it: {' '.join(words[1:])}", where=self.where, fix="Look at it by hand."
-                )
-        raise LinkError(
-            f"the computer did not answer within {patience:g} s", where=self.where, fix="Look at the network."
-        )
+                problem = f"the computer cannot do it: {' '.join(words[1:])}"
+                raise LinkError(problem, where=self.where, fix="Look at it by hand.")
+        problem = f"the computer did not answer within {patience:g} s"
+        raise LinkError(problem, where=self.where, fix="Look at the network.")
 
     def _listen(self) -> None:
         for line in self._lines():

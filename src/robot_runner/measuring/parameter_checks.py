@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+import signal
+from collections.abc import Collection, Iterable
 from enum import Enum
 from numbers import Real
 
-from robot_runner.core.errors import Finding, PluginError
+from robot_runner.core.design.numeric_range import is_whole
+from robot_runner.core.errors import Finding, PluginError, did_you_mean
 
 
 def check_numbers(where: str, *, may_be_zero: bool = False, **parameters: object) -> None:
@@ -55,6 +57,43 @@ def check_list(where: str, **parameters: object) -> None:
         if isinstance(value, str) or not isinstance(value, Iterable):
             listed = [] if value in (None, "") else [value]
             raise PluginError(f"{name} is {value!r}", where=where, fix=f"Give a list: {name}={listed!r}.")
+
+
+def checked_codes(plugin: str, exit_codes: object) -> tuple[int, ...]:
+    """Return exit codes of a program.
+
+    Raises:
+        PluginError: they are no list of whole numbers.
+
+    Example:
+        >>> checked_codes("Planner", [0, 4])
+        (0, 4)
+    """
+    codes = exit_codes if isinstance(exit_codes, Collection) else [None]
+    if not all(map(is_whole, codes)):
+        fix = "Give a list of whole numbers: exit_codes=[0]."
+        raise PluginError(f"exit_codes is {exit_codes!r}", where=plugin, fix=fix)
+    return tuple(codes)
+
+
+def named_signal(plugin: str, wanted: object) -> signal.Signals:
+    """Return the stop signal of a program, which a config gives as a member of `signal.Signals` or its number.
+
+    Raises:
+        PluginError: there is no such signal.
+
+    Example:
+        >>> named_signal("Planner", 2).name
+        'SIGINT'
+    """
+    for each in signal.Signals:
+        if wanted == each and wanted is not True:
+            return each
+    name = str(wanted).upper().removeprefix("SIGNAL.")
+    names = [f"signal.{each.name}" for each in signal.Signals if isinstance(wanted, str)]
+    fix = did_you_mean(f"signal.{name}", names, "Give a member of it: stop_signal=signal.SIGINT.")
+    problem = f"stop_signal is {wanted!r}, and Python's module signal has no such member"
+    raise PluginError(problem, where=plugin, fix=fix)
 
 
 def no_robot(plugin: str, does: str, *, for_example: str = "simulated") -> Finding:

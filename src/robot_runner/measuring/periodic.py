@@ -17,14 +17,7 @@ from robot_runner.core.events.context import Clock
 from robot_runner.core.events.early_end import undivided
 from robot_runner.core.events.resources import Closable
 from robot_runner.core.events.window import Window
-from robot_runner.measuring.host import (
-    FileHost,
-    FileSample,
-    FileSampler,
-    SamplingReport,
-    TellingSampler,
-    report_of,
-)
+from robot_runner.measuring.host import FileHost, FileSample, FileSampler, SamplingReport, TellingSampler, report_of
 from robot_runner.measuring.quality import SampleQuality, quality_of
 from robot_runner.measuring.series import Series, within
 
@@ -60,7 +53,7 @@ class Sampling(Generic[R]):
         sampled_seconds: how long the sampler worked, s.
 
     Example:
-        >>> from robot_runner.core.events.window import Window
+        >>> from robot_runner.plugins import Window
         >>> Sampling([0.0, 1.0], ["7.5", "7.6"], Window(0.0, 1.0), 1.0).series().values
         [7.5, 7.6]
     """
@@ -259,12 +252,7 @@ class PeriodicSampler(Generic[R]):
 
 
 def _checked(reading: R) -> R:
-    """Return a reading.
-
-    Raises:
-        ValueError: it is, or contains, a number that is not finite: libraries of sensors return NaN where a reading
-            failed.
-    """
+    """Return a reading; refuse numbers that are not finite: libraries of sensors return NaN where a reading failed."""
     numbers = reading if isinstance(reading, tuple | list) else (reading,)
     if any(isinstance(each, Real) and not math.isfinite(each) for each in numbers):
         raise ValueError(f"the meter said {reading}")

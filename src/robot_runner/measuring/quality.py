@@ -109,7 +109,8 @@ class Jitter:
     """How far the times between two samples are from their median, s: at least half of them are no further than `p50`.
 
     Example:
-        >>> jitter_of([0.0, 1.0, 2.0, 3.5])
+        >>> from robot_runner.plugins import Window, quality_of
+        >>> quality_of([0.0, 1.0, 2.0, 3.5], Window(-0.5, 4.0), rate=1.0).jitter
         Jitter(p50=0.0, p95=0.5, p99=0.5)
     """
 
@@ -200,22 +201,17 @@ class SampleQuality:
         if self.expected - self.got > max(1.0, self.expected * _FEWER / 100):
             yield f"{self.got} samples arrived of {self.expected} expected"
         if self.largest_gap > _GAP_PERIODS * self.period:
-            yield (
-                f"the largest gap between samples is {self.largest_gap:.3f} s at a period of {self.period:.3f} s; "
-                f"samples cover {self.coverage:.1f} % of the measured window"
-            )
+            gap = f"the largest gap between samples is {self.largest_gap:.3f} s at a period of {self.period:.3f} s"
+            yield f"{gap}; samples cover {self.coverage:.1f} % of the measured window"
         elif self.jitter is not None and self.jitter.p95 > _JITTER_PERIODS * self.period:
             off = self.jitter.p95
             yield f"the samples are uneven: 1 in 20 came {off:.3f} s or more off a period of {self.period:.3f} s"
         elif self.overdue > (1 - MINIMUM_COVERAGE / 100) * self.duration:
-            yield (
-                f"samples are missing for {self.overdue:.3f} s of the measured window of {self.duration:.3f} s, "
-                f"or at its edges, at a period of {self.period:.3f} s"
-            )
+            missing = f"samples are missing for {self.overdue:.3f} s of the measured window of {self.duration:.3f} s"
+            yield f"{missing}, or at its edges, at a period of {self.period:.3f} s"
         elif self.unreached > (1 - MINIMUM_COVERAGE / 100) * self.duration:
-            yield (
-                f"samples leave out {self.unreached:.3f} s at the ends of the measured window of {self.duration:.3f} s"
-            )
+            ends = f"at the ends of the measured window of {self.duration:.3f} s"
+            yield f"samples leave out {self.unreached:.3f} s {ends}"
 
 
 def quality_of(times: Sequence[float], window: Window, rate: float, **known: Any) -> SampleQuality:
@@ -229,7 +225,7 @@ def quality_of(times: Sequence[float], window: Window, rate: float, **known: Any
             saturated, clock_offset, clock_uncertainty and cpu_seconds.
 
     Example:
-        >>> from robot_runner.core.events.window import Window
+        >>> from robot_runner.plugins import Window
         >>> quality_of([0.5, 1.5, 2.5, 9.5], Window(0.0, 10.0), rate=1.0).warnings()[0]
         '4 samples arrived of 10 expected'
     """
@@ -237,6 +233,8 @@ def quality_of(times: Sequence[float], window: Window, rate: float, **known: Any
     gaps = [later - sooner for sooner, later in pairwise((window.start, *seen, window.end))]
     period = 1.0 / rate
     unseen = sum(gap for gap in gaps if gap > _GAP_PERIODS * period)
+    first, behind = bisect_right(times, window.start), bisect_left(times, window.end)
+    is_enclosed = first > 0 and behind < len(times)
     return SampleQuality(
         expected=round(window.duration * rate),
         got=len(seen),
@@ -245,8 +243,8 @@ def quality_of(times: Sequence[float], window: Window, rate: float, **known: Any
         coverage=100.0 * (1.0 - unseen / window.duration) if window.duration else 0.0,
         overdue=_overdue(times, window, period),
         unreached=max(0.0, times[0] - window.start) + max(0.0, window.end - times[-1]) if len(times) else 0.0,
-        jitter=jitter_of(times[bisect_right(times, window.start) : bisect_left(times, window.end)]),
-        is_bracketed=_is_bracketed(times, window, period),
+        jitter=jitter_of(times[first:behind]),
+        is_bracketed=is_enclosed and times[first - 1] >= window.start - period and times[behind] <= window.end + period,
         duration=window.duration,
         **known,
     )
@@ -271,16 +269,6 @@ def _overdue(times: Sequence[float], window: Window, period: float) -> float:
 def sufficient(series: Series, window: Window, rate: float) -> Series:
     """Return the samples where they cover enough of the window for a value to be computed from them, else none."""
     return series if quality_of(series.times, window, rate).is_sufficient else Series([], [])
-
-
-def _is_bracketed(times: Sequence[float], window: Window, period: float) -> bool:
-    before, after = bisect_right(times, window.start), bisect_left(times, window.end)
-    return (
-        before > 0
-        and after < len(times)
-        and times[before - 1] >= window.start - period
-        and (times[after] <= window.end + period)
-    )
 
 
 def jitter_of(times: Sequence[float]) -> Jitter | None:

@@ -150,11 +150,7 @@ class SerialPort:
         return chunks
 
     def write(self, data: bytes) -> None:
-        """Send bytes to the device.
-
-        Raises:
-            LinkError: the line was closed or lost.
-        """
+        """Send bytes to the device; a `LinkError` says that the line was closed or lost."""
         if self._is_closed:
             raise LinkError("the line was closed", where=self._where, fix="Write to it before it is closed.")
         try:

@@ -41,15 +41,11 @@ class Series:
 
     def __post_init__(self) -> None:
         if len(self.times) != len(self.values):
-            raise PluginError(
-                f"there are {len(self.times)} times and {len(self.values)} values",
-                where="Series",
-                fix="Give one time for each value.",
-            )
+            problem = f"there are {len(self.times)} times and {len(self.values)} values"
+            raise PluginError(problem, where="Series", fix="Give one time for each value.")
         if not all(map(le, self.times, islice(self.times, 1, None))):
-            raise PluginError(
-                "the times of the samples are not in order", where="Series", fix="Sort the samples by time."
-            )
+            problem = "the times of the samples are not in order"
+            raise PluginError(problem, where="Series", fix="Sort the samples by time.")
 
     def __len__(self) -> int:
         return len(self.times)
@@ -68,7 +64,7 @@ def cut(series: Series, window: Window, *, reach: float = 0.0) -> Series:
     (one sampling period is a good choice); otherwise the result begins or ends with that sample.
 
     Example:
-        >>> from robot_runner.core.events.window import Window
+        >>> from robot_runner.plugins import Series, Window
         >>> cut(Series([0.0, 1.0, 2.0], [0.0, 10.0, 20.0]), Window(0.5, 1.5)).values
         [5.0, 10.0, 15.0]
     """
@@ -105,7 +101,7 @@ def integrate(series: Series) -> float | None:
     """Return the integral of the samples over time by the trapezoid rule, or None for fewer than two samples.
 
     Example:
-        >>> from robot_runner.measuring.series import Series
+        >>> from robot_runner.plugins import Series
         >>> integrate(Series([0.0, 1.0, 3.0], [2.0, 4.0, 4.0]))
         11.0
     """
@@ -123,7 +119,7 @@ def growth(counter: Series, window: Window) -> float | None:
     it is assumed to grow at its average rate.
 
     Example:
-        >>> from robot_runner.core.events.window import Window
+        >>> from robot_runner.plugins import Series, Window
         >>> growth(Series([0.0, 10.0, 20.0], [0, 100, 300]), Window(5.0, 15.0))
         150.0
     """
@@ -189,8 +185,7 @@ def mean_of_intervals(series: Series, window: Window) -> float | None:
     has no time before it and does not count. None where the samples do not cover any of the window.
 
     Example:
-        >>> from robot_runner.measuring.series import Series
-        >>> from robot_runner.core.events.window import Window
+        >>> from robot_runner.plugins import Series, Window
         >>> mean_of_intervals(Series([0.0, 1.0, 3.0], [99.0, 10.0, 40.0]), Window(0.0, 2.0))
         25.0
     """
@@ -211,8 +206,7 @@ def energy(power: Series, window: Window, *, reach: float = 0.0) -> float | None
     """Return the integral of power (W) over the window, in joules; edges as `cut` treats them.
 
     Example:
-        >>> from robot_runner.measuring.series import Series
-        >>> from robot_runner.core.events.window import Window
+        >>> from robot_runner.plugins import Series, Window
         >>> energy(Series([0.0, 10.0], [8.0, 8.0]), Window(1.0, 3.0))
         16.0
     """

@@ -30,7 +30,8 @@ class SshHost:
 
     The user's own ssh config, agent, keys, jump hosts and known hosts apply. Nothing is installed there: the loop is
     sent when a session begins and is gone when it ends. A session stays open for the run; a second sampler at the same
-    time gets a session of its own.
+    time gets a session of its own. Each method but `close` raises a `LinkError` if the computer cannot be reached
+    or sampled, or the link is closed.
 
     Args:
         host: in one of ssh's forms: `robot`, `pi@robot`, `ssh://pi@robot:2222`.
@@ -71,11 +72,7 @@ class SshHost:
         return False
 
     def connect(self) -> None:
-        """Connect, so that sampling can begin at once.
-
-        Raises:
-            LinkError: the computer cannot be reached or sampled.
-        """
+        """Connect, so that sampling can begin at once."""
         self._session()
 
     def sample_utilisation(self, rate: float) -> OnBoardSampler[UtilisationSample]:
@@ -85,50 +82,25 @@ class SshHost:
     def sample_processes(
         self, rate: float, processes: Sequence[str], *, is_streamed: bool = False
     ) -> OnBoardSampler[UtilisationSample]:
-        """Begin to sample the utilisation of the computer and of processes.
-
-        Args:
-            rate: samples a second, Hz.
-            processes: what to look for: `pid:123`, `name:talker` or `node:/talker`.
-            is_streamed: whether samples are sent at once, or kept there until they are fetched.
-
-        Raises:
-            LinkError: the computer cannot be reached or sampled, or the rate is not positive.
-        """
+        """Begin to sample the utilisation of the computer and of processes; as of `ProcessHost`."""
         return self._sampler(utilisation_counters(checked_words(processes)), rate, is_streamed=is_streamed)
 
     def sample_files(
         self, rate: float, paths: Sequence[str], *, is_streamed: bool = False
     ) -> OnBoardSampler[FileSample]:
-        """Begin to read the first line of each file `rate` times a second.
-
-        Raises:
-            LinkError: as `sample_processes`.
-        """
+        """Begin to read the first line of each file `rate` times a second; as of `FileHost`."""
         return self._sampler(file_lines(checked_words(paths)), rate, is_streamed=is_streamed)
 
     def read_files(self, paths: Sequence[str]) -> list[str | None]:
-        """Return the first line of each file, without the line's end; None for one that cannot be read.
-
-        Raises:
-            LinkError: the computer cannot be reached.
-        """
+        """Return the first line of each file, without the line's end; None for one that cannot be read."""
         return [file_line(field) for field in self._session().ask("read", *checked_words(paths), answer="lines")]
 
     def list_files(self, pattern: str) -> list[str]:
-        """Return the paths that match a pattern of the shell, sorted.
-
-        Raises:
-            LinkError: the computer cannot be reached.
-        """
+        """Return the paths that match a pattern of the shell, sorted."""
         return sorted(self._session().ask("list", *checked_words([pattern]), answer="paths"))
 
     def clock_offset(self) -> ClockOffset:
-        """Return the offset of the computer's clock from the run's.
-
-        Raises:
-            LinkError: the computer cannot be reached.
-        """
+        """Return the offset of the computer's clock from the run's."""
         return self._session().clock_offset()
 
     def close(self) -> None:

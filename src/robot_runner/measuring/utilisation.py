@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import re
 from array import array
-from collections.abc import Callable, Container, Iterator, Mapping, Sequence
+from collections.abc import Callable, Container, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from robot_runner.core.events.measure import Measure, Over
 from robot_runner.core.events.window import Window
@@ -69,33 +69,18 @@ class Selection:
 
     def measures(self) -> tuple[Measure, ...]:
         """Return a measure for each core, and two for each selector."""
-        return (
-            *(
-                _mean(f"CPU_core{core}", f"CPU utilisation of core {core}, mean over the measured window.")
-                for core in self.cores
-            ),
-            *(
-                measure
-                for label, selector in zip(self.labels, self.processes, strict=True)
-                for measure in _process_measures(label, selector)
-            ),
-        )
-
-
-def _process_measures(label: str, selector: str) -> tuple[Measure, Measure]:
-    which = f"the processes {selector}"
-    return (
-        _mean(f"CPU_{label}", f"Share of all cores together that {which} used, mean over the measured window."),
-        _mean(
-            f"Memory_{label}",
-            f"Resident sets of {which}, added up (what they share counts for each), as a share of the physical memory, "
-            "mean over the window.",
-        ),
-    )
-
-
-def _mean(name: str, description: str) -> Measure:
-    return Measure(name, "%", description, over=Over.MEAN)
+        told = [
+            (f"CPU_core{core}", f"CPU utilisation of core {core}, mean over the measured window.")
+            for core in self.cores
+        ]
+        for label, selector in zip(self.labels, self.processes, strict=True):
+            which = f"the processes {selector}"
+            added_up = f"Resident sets of {which}, added up (what they share counts for each)"
+            told += [
+                (f"CPU_{label}", f"Share of all cores together that {which} used, mean over the measured window."),
+                (f"Memory_{label}", f"{added_up}, as a share of the physical memory, mean over the window."),
+            ]
+        return tuple(Measure(name, "%", description, over=Over.MEAN) for name, description in told)
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,7 +131,10 @@ class Utilisation:
         return {
             "CPU": self._mean_of_intervals(lambda sample: sample.cpu),
             "Memory": self._mean(lambda sample: sample.memory),
-            **{f"CPU_core{core}": self._core_mean(core) for core in self.selection.cores},
+            **{
+                f"CPU_core{core}": self._mean_of_intervals(_core(core)) if self._covers(core) else None
+                for core in self.selection.cores
+            },
             **{name: value for place in range(len(self.selection.labels)) for name, value in self._process(place)},
         }
 
@@ -159,11 +147,8 @@ class Utilisation:
         yield from map(Doubt, self.report.problems)
         if self.report.form == FORMS["ps"].description and self.window.duration > 0:
             off = _PS_STEP / self.window.duration * 100
-            problem = (
-                f"ps reports CPU time in whole seconds: over {self.window.duration:.1f} s, utilisation may be off by "
-                f"{off:.0f} % of a core for each process"
-            )
-            yield Doubt(problem)
+            steps = f"ps reports CPU time in whole seconds: over {self.window.duration:.1f} s"
+            yield Doubt(f"{steps}, utilisation may be off by {off:.0f} % of a core for each process")
             yield Doubt(_RESIDENT, ("Memory",), _BETTER_FORM)
         for place, selector in enumerate(self.selection.processes):
             kind, _, name = selector.partition(":")
@@ -225,16 +210,21 @@ class Utilisation:
                 f"that others may have been missed, and CPU_{label} and Memory_{label} may be too low"
             )
         elif ended and unseen > self.window.duration * _UNSEEN_SHARE / 100:
-            yield (
-                f"{_processes(ended, selector)} ended after {'its' if ended == 1 else 'their'} last sample: "
-                f"CPU_{label} may leave out up to {100 * unseen / self.window.duration:.1f} % of a core"
-            )
+            problem = f"{_processes(ended, selector)} ended after {'its' if ended == 1 else 'their'} last sample"
+            yield f"{problem}: CPU_{label} may leave out up to {100 * unseen / self.window.duration:.1f} % of a core"
 
     def write(self, folder: Path, mission: Window | None) -> None:
         """Write `samples.csv`, and `quality.json` with the quality over `mission`, None where there was no mission."""
         write_samples(folder / "samples.csv", list(self._columns()))
         quality = None if mission is None else self.over(mission).quality
-        write_quality(folder / "quality.json", quality, mission, self._details(), sampled=self.window)
+        details = {
+            "is_simulated": self.is_simulated,
+            "rate_hz": self.report.rate,
+            "form": self.report.form,
+            "problems": list(self.report.problems),
+            "clock": self.report.clock_facts,
+        }
+        write_quality(folder / "quality.json", quality, mission, details, sampled=self.window)
 
     def _own_seconds(self) -> float | None:
         """Return the window's share of the CPU time that sampling took in all."""
@@ -248,9 +238,6 @@ class Utilisation:
         told = [(sample.time, 0.0) for sample in self.samples[:1]]
         told += [(sample.time, value) for sample in self.samples[1:] if (value := pick(sample)) is not None]
         return mean_of_intervals(Series([time for time, _ in told], [value for _, value in told]), self.window)
-
-    def _core_mean(self, core: int) -> float | None:
-        return self._mean_of_intervals(_core(core)) if self._covers(core) else None
 
     def _tells_of(self, core: int) -> bool:
         """Whether any sample has a value for the core: for one that is switched off it is None."""
@@ -299,15 +286,6 @@ class Utilisation:
 
     def _column(self, name: str, pick: Callable[[UtilisationSample], float | None]) -> Column:
         return Column(name, [pick(sample) for sample in self.samples], "%.3f")
-
-    def _details(self) -> Mapping[str, Any]:
-        return {
-            "is_simulated": self.is_simulated,
-            "rate_hz": self.report.rate,
-            "form": self.report.form,
-            "problems": list(self.report.problems),
-            "clock": self.report.clock_facts,
-        }
 
 
 def means_over(utilisation: Utilisation | None, window: Window) -> dict[str, float | None]:

@@ -226,21 +226,16 @@ class Battery(Profiler):
                 yield f"the battery's {quantity} was {what} in {some}: no value", names
         fullest = max(heard.series(heard.charge).values, default=0.0) / 100
         if fullest > _FULLEST:
-            yield (
-                f"the robot reports percentage = {fullest:.3g}, where {_TYPE} has 0 to 1: ChargeUsed may be 100-fold",
-                ("ChargeUsed",),
-            )
+            reported = f"the robot reports percentage = {fullest:.3g}, where {_TYPE} has 0 to 1"
+            yield f"{reported}: ChargeUsed may be 100-fold", ("ChargeUsed",)
         if (volts := _full_voltage(heard)) is not None:
             same = f"the state of charge is the voltage / {volts:.3g} V in all messages"
             reckoned = "as a TurtleBot3's board reckons it: ChargeUsed is how far the voltage fell"
             yield f"{same}, {reckoned}", ("ChargeUsed",)
-        values = self._values(heard, window)
-        joules = values.get("Energy")
+        joules = self._values(heard, window).get("Energy")
         if joules is not None and joules < 0:
-            yield (
-                f"the energy is {joules:.4g} J: the robot reports its current with the wrong sign, or was charged",
-                ("Energy",),
-            )
+            wrong = "the robot reports its current with the wrong sign, or was charged"
+            yield f"the energy is {joules:.4g} J: {wrong}", ("Energy",)
 
     def _charge_doubts(self, heard: _Heard, times: MissionTimes) -> Iterator[tuple[str, Sequence[str]]]:
         """Yield doubts about what is used in the mission, or else in its phases, for which steps may be coarse."""

@@ -95,11 +95,7 @@ class CodeCarbon(Profiler):
         self._tracker = self._sampled = self._data = None
 
     def start_measurement(self, context: RobotRunnerContext) -> None:
-        """Start a tracker.
-
-        Raises:
-            PluginError: the library is not installed.
-        """
+        """Start a tracker; a `PluginError` says that the library is not installed."""
         plain = {"save_to_file": False, "log_level": "error", "allow_multiple_runs": True}
         named = {"country_iso_code": self.country, "measure_power_secs": self.interval_s}
         self._tracker = started_tracker("OfflineEmissionsTracker", **{**named, **plain, **self.options})
@@ -165,11 +161,7 @@ class CodeCarbon(Profiler):
 
 
 def started_tracker(kind: str, *arguments: Any, **settings: Any) -> Any:
-    """Return a tracker of the library that has been started.
-
-    Raises:
-        PluginError: the library is not installed.
-    """
+    """Return a started tracker of the library; a `PluginError` says that it is not installed."""
     try:
         library = import_module("codecarbon")
     except ModuleNotFoundError as error:

@@ -21,7 +21,7 @@ from robot_runner.measuring.evaluation import NEVER_STARTED, publish_measures
 from robot_runner.measuring.measured_machine import clock_details, machine_clock
 from robot_runner.measuring.meter_process import Ending, MeterProcess, Record
 from robot_runner.measuring.own_scripts import script_inputs, scripts_in, unread_findings
-from robot_runner.measuring.parameter_checks import check_kind, check_list, check_numbers
+from robot_runner.measuring.parameter_checks import check_kind, check_list, check_numbers, checked_codes, named_signal
 from robot_runner.measuring.quality import Column, SampleQuality, quality_of, report_quality, write_samples
 from robot_runner.meters.command_output import (
     Aggregate,
@@ -96,7 +96,7 @@ class CommandProfiler(Profiler):
         install: how to get the program, in one imperative sentence, for the finding if it is missing.
 
     Raises:
-        PluginError: the command is empty, there are no columns, two yield one measure, or a time is not positive.
+        PluginError: a parameter is of another type, the command is empty, there are no columns or two of one measure.
 
     Example:
         >>> from robot_runner.plugins import Measure
@@ -143,21 +143,28 @@ class CommandProfiler(Profiler):
             raise PluginError(f"command is {command!r}", where=self.name, fix=fix)
         check_list(self.name, command=command, columns=columns)
         check_kind(self.name, TimeColumn, **({} if time is None else {"time": time}))
+        check_kind(self.name, Origin, origin=origin)
+        check_kind(self.name, str, output=output or "")
+        if not isinstance(separator, str) or not separator:
+            raise PluginError(f"separator is {separator!r}", where=self.name, fix="Give the text that ends a record.")
+        if parse is not None and not callable(parse):
+            raise PluginError(f"parse is {parse!r}", where=self.name, fix="Give parse a function, or leave it out.")
         check_numbers(self.name, period_s=period_s, grace_s=grace_s, startup_s=startup_s)
         self.command = [str(word) for word in command]
         self.columns = tuple(columns)
+        check_kind(self.name, CommandColumn, **{f"columns[{place}]": each for place, each in enumerate(self.columns)})
         self.measures: Sequence[Measure] = tuple(column.yields for column in self.columns)
         self.output = output
         self.period_s = period_s
         self.probe_s = probe_window(1 / period_s)
         self.grace_s = grace_s
         self.startup_s = startup_s
-        self.exit_codes = tuple(exit_codes)
+        self.exit_codes = checked_codes(self.name, exit_codes)
         self.origin = origin
         self._parse = parse or parse_csv
         self._separator = separator
         self._time = time
-        self._stop_signal = signal.Signals(stop_signal)
+        self._stop_signal = named_signal(self.name, stop_signal)
         self._install = install
         self._refuse_what_cannot_be()
         self._forget()
@@ -178,11 +185,7 @@ class CommandProfiler(Profiler):
         self._forget()
 
     def start_measurement(self, context: RobotRunnerContext) -> None:
-        """Start the program and wait for its first row.
-
-        Raises:
-            PluginError: the program cannot be started, or ends before its first row.
-        """
+        """Start the program and wait for its first row; a `PluginError` says why it cannot, or that it ended before."""
         folder, self._clock = context.raw_data_folder, machine_clock(context)
         begun_at = self._clock.now()
         self._utc_offset = self._clock.now() - time.time()
@@ -351,12 +354,9 @@ class CommandProfiler(Profiler):
         return Measured(rows, times, window, sampled, ending, other, received)
 
     def _write(self, folder: Path, measured: Measured) -> None:
-        sources = dict.fromkeys(column.source for column in self.columns)
-        by_source = {column.source: column for column in reversed(self.columns)}
-        plain = [(source, by_source[source]) for source in sources]
-        columns = [
-            Column(csv_cell(source), CommandColumn(source, one.measure).values(measured.rows)) for source, one in plain
-        ]
+        measures = {column.source: column.measure for column in self.columns}
+        plain = [CommandColumn(source, measure) for source, measure in measures.items()]  # without their factors
+        columns = [Column(csv_cell(each.source), each.values(measured.rows)) for each in plain]
         write_samples(folder / "samples.csv", [Column("time_s", measured.times), *columns])
 
     def _has_row(self, records: Sequence[Record]) -> bool:

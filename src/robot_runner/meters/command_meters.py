@@ -52,7 +52,7 @@ def parse_energibridge(records: Sequence[str]) -> list[Row | None]:
         if row is not None:
             told = next((name for name in (*_POWERS, *_COUNTERS) if row.get(name)), None)
             if told:
-                joules += _joules_between(sooner, row) if sooner is not None else 0.0
+                joules += _joules_between(sooner, row, told) if sooner is not None else 0.0
                 sooner = row
             row = {**_summary(row, joules if told else None), "told": told}  # noqa: PLW2901 - the row as it is passed on
         rows.append(row)
@@ -70,15 +70,11 @@ def _summary(row: Row, joules: float | None) -> Row:
     }
 
 
-def _joules_between(sooner: Row, later: Row) -> float:
+def _joules_between(sooner: Row, later: Row, name: str) -> float:
     seconds = (float(later["Time"] or 0) - float(sooner["Time"] or 0)) / 1000
-    for name in _POWERS:
-        if later.get(name):
-            return float(later[name] or 0) * seconds
-    for name in _COUNTERS:
-        if later.get(name):
-            return _growth(float(sooner.get(name) or 0), float(later[name] or 0), seconds)
-    return 0.0
+    if name in _POWERS:
+        return float(later[name] or 0) * seconds
+    return _growth(float(sooner.get(name) or 0), float(later[name] or 0), seconds)
 
 
 def _growth(sooner: float, later: float, seconds: float) -> float:

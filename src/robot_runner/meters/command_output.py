@@ -88,6 +88,7 @@ class TimeColumn:
         PluginError: the unit is not a number above 0, or another attribute is of another type.
 
     Example:
+        >>> from robot_runner.plugins.profilers import TimeKind
         >>> TimeColumn("Time", TimeKind.UTC, unit=0.001).unit
         0.001
     """
@@ -117,6 +118,7 @@ class CommandColumn:
         PluginError: an attribute is of another type.
 
     Example:
+        >>> from robot_runner.plugins.profilers import Aggregate
         >>> from robot_runner.plugins import Measure
         >>> energy = Measure("Energy", "J", "Integral of power over the measured window.")
         >>> CommandColumn("power_mW", energy, Aggregate.INTEGRAL, factor=0.001).source

@@ -115,11 +115,7 @@ class ElectricalProfiler(PolledProfiler[Readings]):
         self.measures = electrical_measures(self.channels)
 
     def checked(self, reading: Readings) -> Readings:
-        """Return a reading as it was taken.
-
-        Raises:
-            ValueError: it is not an `ElectricalReading` for each channel.
-        """
+        """Return a reading; a `ValueError` says that it is not an `ElectricalReading` for each channel."""
         told = super().checked(reading)
         if len(told) != len(self.channels) or not all(isinstance(each, ElectricalReading) for each in told):
             raise ValueError(f"the meter returned {told}, not an ElectricalReading for each channel")
@@ -127,18 +123,18 @@ class ElectricalProfiler(PolledProfiler[Readings]):
 
     def columns(self, sampling: Sampling[Readings]) -> Sequence[Column]:
         """Return the quantities of each channel that have values, and the meter's own stamps where it has some."""
-        picks = (
-            ("power_W", "power"),
-            ("voltage_V", "voltage"),
-            ("current_A", "current"),
-            ("energy_J", "joules"),
-            ("stamp_s", "time"),
-        )
+        picks = {
+            "power_W": "power",
+            "voltage_V": "voltage",
+            "current_A": "current",
+            "energy_J": "joules",
+            "stamp_s": "time",
+        }
         prefixes = [f"{channel}_" for channel in self.channels] if len(self.channels) > 1 else [""]
         columns = [
             Column(f"{prefix}{heading}", [getattr(reading[place], quantity) for reading in sampling.readings])
             for place, prefix in enumerate(prefixes)
-            for heading, quantity in picks
+            for heading, quantity in picks.items()
         ]
         return [column for column in columns if any(value is not None for value in column.values)]
 

@@ -93,11 +93,8 @@ def stepped(power: Series, sampling: Sampling[Any], joules: float | None) -> Ite
     every = max(renewed_every(power) or 0.0, 1 / sampling.rate)
     off = step_error(power if every * sampling.rate < _SELDOM else _changes(power), sampling.window)
     if joules is not None and off > OFF_SHARE * abs(joules):
-        apart = f"{every:.1f} s apart"
-        yield (
-            f"the power{{of}} changed between samples that are {apart}: "
-            f"the energy may be off by {off:.2g} J of {joules:.3g} J"
-        )
+        apart = f"the power{{of}} changed between samples that are {every:.1f} s apart"
+        yield f"{apart}: the energy may be off by {off:.2g} J of {joules:.3g} J"
 
 
 def _changes(series: Series) -> Series:
@@ -192,14 +189,10 @@ def seldom_renewed(power: Series, sampling: Sampling[Any]) -> Iterator[str]:
 
 def doubts_about_readings(sampling: Sampling[Readings], place: int = 0) -> Iterator[str]:
     """Yield doubts if a meter is stuck, or its quantities contradict each other; `{of}` stands for the channel."""
-    yield from _stuck(sampling, place)
-    yield from _contradicted(sampling, place)
-
-
-def _stuck(sampling: Sampling[Readings], place: int) -> Iterator[str]:
     within = sampling.within()
     for standstill in standstills(within.times, [_standing(readings, place) for readings in within.readings], sampling):
         yield f"the meter reported the same value{{of}} {standstill}: it may be stuck"
+    yield from _contradicted(within, place)
 
 
 def standstills(times: Sequence[float], values: Sequence[object], sampling: Sampling[Any]) -> Iterator[str]:
@@ -216,12 +209,12 @@ def _standing(readings: Readings, place: int) -> object:
     return [each[:4] for each in readings] if power == 0 or current == 0 else readings[place][:4]
 
 
-def _contradicted(sampling: Sampling[Readings], place: int) -> Iterator[str]:
+def _contradicted(within: Sampling[Readings], place: int) -> Iterator[str]:
     told = [
         (watts, volts, amperes)
         for (watts, volts, amperes) in (
             tuple(_quantity(readings[place], each) for each in ("power", "voltage", "current"))
-            for readings in sampling.within().readings
+            for readings in within.readings
         )
         if watts is not None and volts is not None and amperes is not None
     ]
@@ -232,10 +225,9 @@ def _contradicted(sampling: Sampling[Readings], place: int) -> Iterator[str]:
         is_long = longest > max(_OF_A_STEP, _IN_A_ROW * len(told))
         if is_long or count > max(_OF_A_STEP, _IN_ALL * len(told)) or 0 < count == len(told):
             watts, volts, amperes = told[signs.index(sign)]
-            yield (
-                f"the power{{of}} contradicts voltage times current in {count} of {len(told)} readings, such as "
-                f"{watts:.3g} W at {volts:.3g} V and {amperes:.3g} A: one of them may have another unit"
-            )
+            contradicts = f"the power{{of}} contradicts voltage times current in {count} of {len(told)} readings"
+            such_as = f"such as {watts:.3g} W at {volts:.3g} V and {amperes:.3g} A"
+            yield f"{contradicts}, {such_as}: one of them may have another unit"
 
 
 def _contradiction(watts: float, volts: float, amperes: float) -> int:

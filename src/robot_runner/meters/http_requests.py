@@ -38,30 +38,21 @@ class Secret:
 
     @classmethod
     def named(cls, env: str | None, file: str | Path | None, *, where: str) -> Secret | None:
-        """Return the source of the password; None where there is none.
-
-        Raises:
-            PluginError: both are named.
-        """
+        """Return the source of the password; None where there is none; a `PluginError` says that both are named."""
         if env is not None and file is not None:
             raise PluginError("password_env and password_file are named", where=where, fix="Leave one of them out.")
-        return (
-            cls(env, None if file is None else Path(file).expanduser()) if env is not None or file is not None else None
-        )
+        if env is None and file is None:
+            return None
+        return cls(env, None if file is None else Path(file).expanduser())
 
     def read(self, where: str) -> str:
-        """Return the password.
-
-        Raises:
-            LinkError: there is none, or the file cannot be read.
-        """
+        """Return the password; a `LinkError` says that there is none, or that the file cannot be read."""
         if self.file is None:
             password = os.environ.get(self.env or "")
             if not password:
                 problem = f"the environment variable {self.env}, which is to hold the password, is empty or not set"
-                raise LinkError(
-                    problem, where=where, fix=f"Set it before you start: read -rs {self.env}; export {self.env}"
-                )
+                fix = f"Set it before you start: read -rs {self.env}; export {self.env}"
+                raise LinkError(problem, where=where, fix=fix)
             return password
         try:
             lines = self.file.read_text(encoding="utf-8").splitlines()
@@ -74,11 +65,7 @@ class Secret:
 
 
 def check_url(url: str, *, where: str, schemes: tuple[str, ...] = ("http", "https")) -> str:
-    """Return a URL without the `/` at its end.
-
-    Raises:
-        PluginError: the scheme is another one, the URL names no host, or it contains a password.
-    """
+    """Return a URL without the `/` at its end; a `PluginError` says that it is malformed, or contains a password."""
     try:
         parts = urllib.parse.urlsplit(url)
         host, _ = parts.hostname, parts.port
@@ -133,11 +120,7 @@ class HttpDevice:
         self._opener = urllib.request.build_opener(*handlers)
 
     def get(self, path: str = "", **headers: str) -> bytes:
-        """Return the body of the answer.
-
-        Raises:
-            LinkError: the device does not answer, or refuses.
-        """
+        """Return the body of the answer; a `LinkError` says that the device does not answer, or refuses."""
         request = urllib.request.Request(self.url + path, headers=headers)  # noqa: S310 - the scheme was checked
         try:
             with closing(self._opener.open(request, timeout=self._timeout)) as answer:
@@ -167,11 +150,7 @@ class HttpDevice:
 
 
 def _body(answer: Any, until: float) -> bytes:
-    """Return the body of an answer, or its beginning if that is more than a device sends.
-
-    Raises:
-        TimeoutError: it goes on beyond a moment of the monotonic clock, as a stream of events does.
-    """
+    """Return the body, or its beginning if it is too long; a `TimeoutError` says that it goes on, as a stream does."""
     body = bytearray()
     while len(body) <= _MOST_BYTES and (piece := answer.read1(_PIECE)):
         body += piece

@@ -45,9 +45,8 @@ class _Instrument:
         try:
             self._driver: Any = import_module("pyjoulescope_driver").Driver()
         except ImportError as error:
-            raise PluginError(
-                f"the Joulescope's driver cannot be imported: {error}", where=plugin.name, fix=_INSTALL
-            ) from error
+            problem = f"the Joulescope's driver cannot be imported: {error}"
+            raise PluginError(problem, where=plugin.name, fix=_INSTALL) from error
         try:
             # Such as `u/js220/000415`; later drivers list other instruments, too.
             paths = [path for path in self._driver.device_paths() if "/js" in path]
@@ -62,11 +61,7 @@ class _Instrument:
             raise PluginError(f"the Joulescope cannot be opened: {error}", where=plugin.name, fix=_CONNECT) from error
 
     def await_statistics(self) -> None:
-        """Wait for the first statistics.
-
-        Raises:
-            PluginError: the instrument sends none.
-        """
+        """Wait for the first statistics; a `PluginError` says that none come."""
         deadline = self._clock.now() + self._patience
         while self._last is None:
             if self._clock.now() >= deadline:
@@ -168,11 +163,7 @@ class Joulescope(ElectricalProfiler):
         return findings or simulation_findings(self.name, circumstances.robot)
 
     def open(self, context: RobotRunnerContext) -> _Instrument:
-        """Return the instrument once it sends statistics.
-
-        Raises:
-            PluginError: the driver or the instrument is missing, or no statistics come.
-        """
+        """Return the instrument once it sends statistics; a `PluginError` says what is missing."""
         instrument = _Instrument(self, machine_clock(context))
         try:
             instrument.await_statistics()

@@ -110,11 +110,7 @@ class LabCamera(Profiler):
         self._forget()
 
     def start_measurement(self, context: RobotRunnerContext) -> None:
-        """Start ffmpeg and wait for the first frame.
-
-        Raises:
-            PluginError: ffmpeg cannot be started, or no frame comes.
-        """
+        """Start ffmpeg and wait for the first frame; a `PluginError` says that none comes, and why."""
         folder, clock = context.raw_data_folder, machine_clock(context)
         self._clock, self._epoch = clock, int(time.time())
         self._offset = clock.now() - time.time()
@@ -127,11 +123,8 @@ class LabCamera(Profiler):
         ending, self._process = process.stop(signal.SIGINT, grace=_GRACE), None
         self._hide_secrets(folder)
         said = without_secrets(ending.complaint)
-        ended = (
-            f"no frame came within {self.startup_s:g} s"
-            if was_running
-            else f"ffmpeg ended with code {ending.exit_code}"
-        )
+        silent = f"no frame came within {self.startup_s:g} s"
+        ended = silent if was_running else f"ffmpeg ended with code {ending.exit_code}"
         problem = f"{without_secrets(self.device)}: {ended}{f': {said}' if said else ''}"
         raise PluginError(problem, where=self.name, fix="Look at the camera: ffplay shows what ffmpeg can see.")
 
@@ -148,9 +141,8 @@ class LabCamera(Profiler):
         if not was_running:
             self._problems.append(f"the video ends before the run: ffmpeg ended with code {ending.exit_code}{said}")
         elif ending.was_killed:
-            self._problems.append(
-                "ffmpeg did not complete the video and had to be killed: its last half second is missing"
-            )
+            killed = "ffmpeg did not complete the video and had to be killed"
+            self._problems.append(f"{killed}: its last half second is missing")
         step = self._clock.now() - time.time() - self._offset
         if abs(step) > _CLOCK_STEP:
             problem = f"the wall clock was set by {-step:+.2f} s while the video was recorded"
@@ -233,12 +225,9 @@ class LabCamera(Profiler):
         folder = context.raw_data_folder
         for number, (label, at) in enumerate((phases or three)[:_MOST_STILLS], start=1):
             file = f"still-{number}.jpg"
-            take_still(folder / _VIDEO, self._nearest(at - self._epoch - self._offset), folder / file)
+            before = bisect_right(self._frames, at - self._epoch - self._offset)
+            take_still(folder / _VIDEO, self._frames[max(0, before - 1)], folder / file)
             yield {"label": label, "file": file, "since_start_s": round(at - window.start, 3)}
-
-    def _nearest(self, at: float) -> float:
-        place = bisect_right(self._frames, at)
-        return self._frames[max(0, place - 1)]
 
 
 def _has_frame(process: MeterProcess) -> bool:

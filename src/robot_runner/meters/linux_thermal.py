@@ -133,11 +133,7 @@ class LinuxThermal(PolledProfiler[Conditions]):
         return [*warnings, *simulation_findings(self.name, circumstances.robot)]
 
     def open(self, context: RobotRunnerContext) -> _Processor:
-        """Return the processor.
-
-        Raises:
-            PluginError: they show neither temperature nor frequency.
-        """
+        """Return the processor; a `PluginError` says that it shows neither temperature nor frequency."""
         del context
         processor = _Processor(self.root, self.zones)
         machine = processor.files
@@ -184,10 +180,8 @@ class LinuxThermal(PolledProfiler[Conditions]):
         temperatures = _series(sampling, "temperature").values
         odd = sum(0 < celsius < _WHOLE_DEGREES for celsius in temperatures)
         if odd > _A_MOMENT * len(temperatures):
-            yield (
-                f"a thermal zone reported temperatures below {_WHOLE_DEGREES} °C in {odd} of {len(temperatures)} "
-                "samples: it may report whole degrees, not thousandths"
-            )
+            low = f"a thermal zone reported temperatures below {_WHOLE_DEGREES} °C"
+            yield f"{low} in {odd} of {len(temperatures)} samples: it may report whole degrees, not thousandths"
         held_back = _held_back(sampling.readings)
         if any(held_back):
             hottest = max(temperatures, default=None)

@@ -20,6 +20,8 @@ MQTT_INSTALL = "Install it: pip install 'robot-runner[mqtt]'."
 _PORTS = {"mqtt": 1883, "mqtts": 8883}
 #: How long paho waits for the network at a time, s.
 _STEP = 0.05
+#: So much of a message is kept: a broker passes on up to 256 MiB, and an answer has some hundred bytes.
+_MOST_BYTES = 1 << 20
 _FIX = "Look at the broker's address, whether it is switched on, and at the network."
 _FIX_LOGIN = "Name its user, and where its password stands: password_env='NAME' or password_file='...'."
 
@@ -168,4 +170,4 @@ class MqttRequests:
 
     def _received(self, _client: Any, _data: Any, message: Any) -> None:
         if not message.retain:  # a retained message is of an earlier moment
-            self._answers[message.topic] = bytes(message.payload)
+            self._answers[message.topic] = bytes(message.payload[:_MOST_BYTES])

@@ -123,11 +123,7 @@ class Network(PolledProfiler[Counters]):
         self._ending = None
 
     def open(self, context: RobotRunnerContext) -> FileCounters:
-        """Return the counters of the interfaces, and start the capture if there is to be one.
-
-        Raises:
-            PluginError: there is no such interface, or tshark does not begin to capture.
-        """
+        """Return the counters of the interfaces, and begin to capture if asked; a `PluginError` says why it cannot."""
         for fault in self._faults():
             raise fault
         self._names = self._chosen()
@@ -135,22 +131,18 @@ class Network(PolledProfiler[Counters]):
         interfaces = [self.root / name / "statistics" for name in self._names]
         counters = FileCounters([interface / counter for interface in interfaces for counter in _COUNTERS])
         if self.capture:
-            self._capturing = self._captured(context)
+            self._begin_capture(context)
         return counters
 
-    def _captured(self, context: RobotRunnerContext) -> MeterProcess:
-        """Return tshark once it captures.
-
-        Raises:
-            PluginError: tshark does not capture, or cannot be started.
-        """
+    def _begin_capture(self, context: RobotRunnerContext) -> None:
+        """Start tshark and wait until it captures."""
         folder = context.raw_data_folder
         capture = folder / "capture.pcapng"
         tshark = MeterProcess(self._tshark(capture), output=None, folder=folder, clock=machine_clock(context))
         self._capturing = tshark  # before it is awaited: the run may end meanwhile
         # tshark begins its file once it captures.
         if tshark.wait(lambda: capture.exists() and capture.stat().st_size > 0, seconds=_STARTUP):
-            return tshark
+            return
         self._capturing = None
         ending = tshark.stop(signal.SIGINT, grace=_GRACE)
         problem, fix = f"tshark did not begin to capture within {_STARTUP:g} s", _TRY

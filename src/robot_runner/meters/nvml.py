@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import importlib.util
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from importlib import import_module
+from numbers import Integral
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from robot_runner.core.errors import Finding, PluginError
@@ -123,7 +123,7 @@ class Nvml(PolledProfiler[tuple[GpuReading, ...]]):
         rate_hz: readings a second, Hz; GPUs update their values 10 to 50 times a second.
 
     Raises:
-        PluginError: a number of a GPU is below 0, or the rate is not positive.
+        PluginError: gpus is empty or holds anything but whole numbers from 0, or the rate is not positive.
 
     Example:
         >>> Nvml(gpus=[0]).measures[2].name
@@ -149,24 +149,18 @@ class Nvml(PolledProfiler[tuple[GpuReading, ...]]):
     def __init__(self, *, name: str | None = None, gpus: Sequence[int] | None = None, rate_hz: float = 10.0) -> None:
         super().__init__(name=name, rate_hz=rate_hz)
         check_list(self.name, gpus=() if gpus is None else gpus)
-        if gpus is not None and (not gpus or any(index < 0 for index in gpus)):
-            fix = "Give numbers from 0, or leave gpus out for all."
-            raise PluginError(f"gpus is {list(gpus)!r}", where=self.name, fix=fix)
         self.gpus = None if gpus is None else tuple(dict.fromkeys(gpus))
+        if self.gpus is not None and not (self.gpus and all(map(_is_index, self.gpus))):
+            fix = "Give whole numbers from 0, or leave gpus out for all."
+            raise PluginError(f"gpus is {list(self.gpus)!r}", where=self.name, fix=fix)
         self._names: list[str] = []
 
     def check(self, circumstances: Circumstances) -> Iterable[Finding]:
         """Return errors: no library, no driver, or no such GPU."""
-        if importlib.util.find_spec("pynvml") is None:
-            return [Finding.error(f"plugin {self.name}", "nvidia-ml-py is not installed", _INSTALL)]
         return trial_findings(self, lambda: _Gpus(self.gpus)) or simulation_findings(self.name, circumstances.robot)
 
     def open(self, context: RobotRunnerContext) -> _Gpus:
-        """Return the GPUs.
-
-        Raises:
-            PluginError: the library, its driver or a GPU is missing.
-        """
+        """Return the GPUs; a `PluginError` says that the library, its driver or a GPU is missing."""
         del context
         gpus = _Gpus(self.gpus)
         self._names = gpus.names
@@ -174,24 +168,20 @@ class Nvml(PolledProfiler[tuple[GpuReading, ...]]):
 
     def columns(self, sampling: Sampling[tuple[GpuReading, ...]]) -> Sequence[Column]:
         """Return the values of each GPU."""
-        picks = (
-            ("power_W", "power"),
-            ("energy_J", "joules"),
-            ("gpu_percent", "utilisation"),
-            ("memory_percent", "memory"),
-        )
+        picks = {"power_W": "power", "energy_J": "joules", "gpu_percent": "utilisation", "memory_percent": "memory"}
         return [
             Column(
                 f"gpu{place}_{heading}", [getattr(reading[place], quantity) for reading in sampling.readings], "%.3f"
             )
             for place in range(len(self._names))
-            for heading, quantity in picks
+            for heading, quantity in picks.items()
         ]
 
     def values(self, sampling: Sampling[tuple[GpuReading, ...]]) -> Mapping[str, float | None]:
         """Return the sum of the GPUs' energies, and the means of their utilisations."""
         places = range(len(self._names))
-        joules = _total([self._energy(sampling, place) for place in places])
+        energies = [(self._counted(sampling, place), self._integral(sampling, place)) for place in places]
+        joules = _total([counted or (counted if integral is None else integral) for counted, integral in energies])
         return {
             "Energy": joules,
             "MeanPower": None if joules is None else joules / sampling.window.duration,
@@ -217,10 +207,8 @@ class Nvml(PolledProfiler[tuple[GpuReading, ...]]):
         seconds = sampling.window.duration
         if seconds * OFF_SHARE < _RENEWED:
             off = min(100.0, 100 * _RENEWED / seconds)
-            yield (
-                f"GPU {gpu} renews its energy counter every {_RENEWED} s or so: over {seconds:.3f} s, "
-                f"its energy may be off by {off:.0f} %"
-            )
+            renewed = f"GPU {gpu} renews its energy counter every {_RENEWED} s or so: over {seconds:.3f} s"
+            yield f"{renewed}, its energy may be off by {off:.0f} %"
         if integral is not None:
             power = _known(sampling.within(), place, "power")
             spread = max(power.values, default=0.0) - min(power.values, default=0.0)
@@ -254,10 +242,6 @@ class Nvml(PolledProfiler[tuple[GpuReading, ...]]):
         """Return the names of the GPUs."""
         return {"gpus": self._names}
 
-    def _energy(self, sampling: Sampling[tuple[GpuReading, ...]], place: int) -> float | None:
-        counted, integral = self._counted(sampling, place), self._integral(sampling, place)
-        return counted or (counted if integral is None else integral)
-
     def _integral(self, sampling: Sampling[tuple[GpuReading, ...]], place: int) -> float | None:
         # If the readings suffice, a gap at an edge is bridged like one inside: by the reading beside it.
         return energy(_series(sampling, place, "power"), sampling.window, reach=sampling.window.duration)
@@ -273,6 +257,10 @@ class Nvml(PolledProfiler[tuple[GpuReading, ...]]):
 
 #: The names of a reading's quantities in messages.
 _WORDS = {"power": "power", "joules": "energy", "utilisation": "utilisation", "memory": "memory"}
+
+
+def _is_index(value: object) -> bool:
+    return isinstance(value, Integral) and not isinstance(value, bool) and int(value) >= 0
 
 
 def _known(sampling: Sampling[tuple[GpuReading, ...]], place: int, quantity: str) -> Series:

@@ -31,11 +31,9 @@ class PlugDialect(Protocol):
 
     Attributes:
         counter_step: the smallest step of its energy counters, J.
-        user: the default user for a plug's password.
     """
 
     counter_step: float
-    user: str
 
     def path(self, channel: int, user: str, password: str | None) -> str:
         """Return the path of a GET request."""
@@ -80,9 +78,8 @@ def _fields(told: Mapping[str, Any], *names: str) -> Mapping[str, Any]:
 
 def _required(reading: ElectricalReading, said: object) -> ElectricalReading:
     if reading.power is None:
-        raise ValueError(
-            f"the plug reported no power, only {str(said)[:80]}: does this model, or this channel, measure it?"
-        )
+        only = f"the plug reported no power, only {str(said)[:80]}"
+        raise ValueError(f"{only}: does this model, or this channel, measure it?")
     return reading
 
 
@@ -90,7 +87,6 @@ class _Tasmota:
     """Command `Status 10`. Source: tasmota.github.io/docs, Commands, MQTT and Power-Monitoring-Calibration."""
 
     counter_step = 0.001 * _KILOWATT_HOUR
-    user = "admin"
 
     def path(self, channel: int, user: str, password: str | None) -> str:
         del channel
@@ -130,7 +126,6 @@ class _ShellyFirst:
     """Shelly of the first generation. Source: shelly-api-docs.shelly.cloud/gen1, /status and MQTT support."""
 
     counter_step = 1.0 * _WATT_MINUTE
-    user = "admin"
 
     def path(self, channel: int, user: str, password: str | None) -> str:
         del channel, user, password
@@ -171,7 +166,6 @@ class _ShellyLater:
     """Shelly from the second generation on. Source: shelly-api-docs.shelly.cloud/gen2, Switch, PM1, MQTT channel."""
 
     counter_step = 0.001 * _WATT_HOUR
-    user = "admin"
 
     def __init__(self, component: str) -> None:
         self._method = f"{component}.GetStatus"

@@ -46,11 +46,7 @@ def _paths(rails: Sequence[Rail]) -> list[str]:
 
 
 def _understood(rails: Sequence[Rail], paths: Sequence[str], lines: Sequence[str | None]) -> Readings:
-    """Return the reading of each rail.
-
-    Raises:
-        ValueError: a file could not be read, or holds no number.
-    """
+    """Return the reading of each rail; a `ValueError` says that a file could not be read, or holds no number."""
     by_path = dict(zip(paths, lines, strict=True))
     return tuple(rail.read(by_path) for rail in rails)
 
@@ -130,11 +126,7 @@ class PowerRails(ElectricalProfiler):
         return [*findings, *(simulation_findings(self.name, circumstances.robot) if self.host == LOCAL else ())]
 
     def start_run(self, context: RobotRunnerContext) -> None:
-        """Connect and find the rails, before the robot moves and the measurement begins.
-
-        Raises:
-            LinkError: the computer cannot be reached, or has no such rail.
-        """
+        """Connect and find the rails, before the robot moves; a `LinkError` says which cannot be reached or found."""
         super().start_run(context)
         self._report = SamplingReport(rate=self.rate_hz)
         host = self._connected(context)
@@ -172,16 +164,12 @@ class PowerRails(ElectricalProfiler):
         within = sampling.within().readings
         for place, rail in enumerate(self._rails):
             if clipped := sum(rail.is_clipped(readings[place]) for readings in within):
-                yield (
-                    f"rail {rail.name!r} was at the end of its sensor's range, {rail.largest:.3g} A, in {clipped} of "
-                    f"{len(within)} readings: what was drawn is more"
-                )
+                at_its_end = f"rail {rail.name!r} was at the end of its sensor's range, {rail.largest:.3g} A"
+                yield f"{at_its_end}, in {clipped} of {len(within)} readings: what was drawn is more"
         for name, status in sorted(self._states):
             if status != _DISCHARGING:
-                yield (
-                    f"rail {name!r} is that of a battery whose status was {status!r}: its power may be what goes into "
-                    "it, and not what is drawn"
-                )
+                of_battery = f"rail {name!r} is that of a battery whose status was {status!r}"
+                yield f"{of_battery}: its power may be what goes into it, and not what is drawn"
         if self.host != LOCAL:
             yield from self._report.problems
             clock = self._report.clock
@@ -227,10 +215,8 @@ class PowerRails(ElectricalProfiler):
             host.close()
         for rail in chosen:
             if not rail.tells_power:
-                told = " and ".join(rail.files)
-                yield Finding.warning(
-                    where, f"rail {rail.name!r} reports its {told} only: no value of energy and power"
-                )
+                only = f"rail {rail.name!r} reports its {' and '.join(rail.files)} only"
+                yield Finding.warning(where, f"{only}: no value of energy and power")
 
     def _connected(self, context: RobotRunnerContext) -> FileHost:
         host = connect_host(context, self.host, ssh_config=self.ssh_config)

@@ -62,11 +62,7 @@ class _Exporter(Meter[Scrape]):
         self._page = HttpDevice(plugin.url, timeout=timeout, user=plugin.user, password=password, where=where)
 
     def families(self) -> list[Any]:
-        """Return the metrics on the exporter's page.
-
-        Raises:
-            LinkError: the exporter does not answer, or the page has no metrics.
-        """
+        """Return the metrics on the exporter's page; a `LinkError` says that it does not answer, or has none."""
         text = self._page.get(Accept=_TEXT_FORMAT).decode("utf-8", errors="replace")
         if text and not text.endswith("\n"):
             # The format requires a line feed after the last line; unchecked, half a number would be taken for one.
@@ -153,6 +149,10 @@ class Prometheus(PolledProfiler[Scrape]):
             raise PluginError(f"metrics is {metrics!r}", where=self.name, fix=fix)
         check_numbers(self.name, timeout_s=timeout_s)
         self.metrics = tuple(ScrapedMetric(selector=each) if isinstance(each, str) else each for each in metrics)
+        for place, metric in enumerate(self.metrics):
+            if not isinstance(metric, ScrapedMetric):
+                fix = f"Give metrics[{place}] a text or a ScrapedMetric."
+                raise PluginError(f"metrics[{place}] is {metric!r}", where=self.name, fix=fix)
         self.measures: Sequence[Measure] = tuple(metric.yields for metric in self.metrics)
         names = [measure.name for measure in self.measures]
         if len(set(names)) < len(names):
@@ -180,12 +180,7 @@ class Prometheus(PolledProfiler[Scrape]):
         return [finding for metric in self.metrics for finding in _metric_findings(where, metric, families)]
 
     def open(self, context: RobotRunnerContext) -> _Exporter:
-        """Return the exporter, after one scrape that had all metrics.
-
-        Raises:
-            LinkError: the exporter does not answer, or lacks a metric.
-            PluginError: the library is not installed.
-        """
+        """Return the exporter after a scrape of all metrics; a `LinkError` or a `PluginError` says what is missing."""
         del context
         exporter = _Exporter(self)
         families = exporter.families()

@@ -233,11 +233,8 @@ class PsUtil(Profiler):
         if isinstance(link, ProcessHost):
             return link.sample_processes(self.rate_hz, self.selection.processes, is_streamed=self.is_streamed)
         if self._has_selection:
-            raise LinkError(
-                "this computer does not report single processes or cores",
-                where=self.name,
-                fix="Leave processes and cores out.",
-            )
+            problem = "this computer does not report single processes or cores"
+            raise LinkError(problem, where=self.name, fix="Leave processes and cores out.")
         return link.sample_utilisation(self.rate_hz)
 
 
@@ -247,11 +244,7 @@ def _shown(sample: UtilisationSample) -> list[Column]:
 
 
 def _refuse_idle(plugin: str, parameters: Mapping[str, object], reason: str) -> None:
-    """Refuse parameters that would do nothing.
-
-    Raises:
-        PluginError: one of them is set.
-    """
+    """Refuse parameters that would do nothing."""
     for name, value in parameters.items():
         if value:
             raise PluginError(f"{name} is {value!r}, and {reason}", where=plugin, fix=f"Leave {name} out.")

@@ -66,18 +66,13 @@ class Domain:
 
 
 def find_domains(root: Path = POWERCAP) -> list[Domain]:
-    """Return the domains of a machine, in the order of their folders.
-
-    Raises:
-        PluginError: a file of a domain cannot be read.
-    """
+    """Return the domains of a machine, in the order of their folders; a `PluginError` if one cannot be read."""
     folders = sorted(folder for folder in root.glob("intel-rapl:*") if _FOLDER.fullmatch(folder.name))
     try:
         return [_domain(folder) for folder in folders]
     except (OSError, ValueError) as error:
-        raise PluginError(
-            f"the energy counters cannot be read: {error}", where=str(root), fix="Look at what is in there."
-        ) from error
+        problem = f"the energy counters cannot be read: {error}"
+        raise PluginError(problem, where=str(root), fix="Look at what is in there.") from error
 
 
 def _domain(folder: Path) -> Domain:
@@ -187,11 +182,7 @@ class Rapl(PolledProfiler[Counters]):
         return [*findings, *simulation_findings(self.name, circumstances.robot)]
 
     def open(self, context: RobotRunnerContext) -> FileCounters:
-        """Return the counters.
-
-        Raises:
-            PluginError: they cannot be read.
-        """
+        """Return the counters; a `PluginError` says that they cannot be read."""
         del context
         for finding in permission_findings(self.name, self.root, ("package", *self.domains)):
             raise PluginError(finding.problem, where=self.name, fix=finding.fix)

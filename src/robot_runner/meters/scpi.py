@@ -187,11 +187,7 @@ class _Instrument:
             raise SurplusError(said)
 
     def _refuse_surplus(self) -> None:
-        """Check for unrequested data.
-
-        Raises:
-            SurplusError: there are some.
-        """
+        """Raise a `SurplusError` if the instrument has sent unrequested data."""
         resource, visa = self._resource, import_module("pyvisa")
         if resource.resource_class != "SOCKET" and resource.interface_type != visa.constants.InterfaceType.asrl:
             return  # other interfaces keep answers apart
@@ -332,11 +328,7 @@ class Scpi(ElectricalProfiler):
         return trial_findings(self, lambda: _Instrument(self)) or simulation_findings(self.name, circumstances.robot)
 
     def open(self, context: RobotRunnerContext) -> _Instrument:
-        """Return the instrument.
-
-        Raises:
-            PluginError: the answers are not as expected.
-        """
+        """Return the instrument; a `PluginError` says that its answers are not as expected."""
         del context
         instrument = _Instrument(self)
         self._identity = instrument.identity

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import secrets
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -18,7 +18,7 @@ from robot_runner.meters.electrical_readings import Readings
 from robot_runner.meters.http_requests import HttpDevice, Secret, check_url
 from robot_runner.meters.mqtt_requests import MQTT_INSTALL, MqttRequests
 from robot_runner.meters.plug_dialects import DIALECTS, PlugDialect
-from robot_runner.meters.polled import Meter, trial_findings
+from robot_runner.meters.polled import trial_findings
 
 if TYPE_CHECKING:
     from robot_runner.core.plugin import Circumstances
@@ -28,31 +28,29 @@ if TYPE_CHECKING:
 _COARSE_SHARE, _COARSE_READINGS = 0.01, 10
 
 
-class _HttpPlug(Meter[Readings]):
+class _Plug:
     def __init__(self, plugin: SmartPlug, password: str | None) -> None:
-        self._plugin = plugin
-        self._path = plugin.dialect.path(plugin.channel, plugin.user, password)
-        url, timeout, where = plugin.url or "", plugin.timeout_s, plugin.name
-        self._device = HttpDevice(url, timeout=timeout, user=plugin.user, password=password, where=where)
+        self._dialect, self._channel = plugin.dialect, plugin.channel
+        self._requests: MqttRequests | None = None
+        user, timeout, where = plugin.user, plugin.timeout_s, plugin.name
+        if plugin.url is not None:
+            path = plugin.dialect.path(plugin.channel, user, password)
+            device = HttpDevice(plugin.url, timeout=timeout, user=user, password=password, where=where)
+            self._ask: Callable[[], Mapping[str, bytes]] = lambda: {"": device.get(path)}
+        else:
+            reply_to = f"robot_runner_{secrets.token_hex(4)}"
+            user = user if password is not None else ""
+            exchange = plugin.dialect.exchange(plugin.topic or "", plugin.channel, reply_to)
+            broker = plugin.broker or ""
+            self._requests = MqttRequests(broker, exchange, timeout=timeout, user=user, password=password, where=where)
+            self._ask = self._requests.ask
 
     def read(self) -> Readings:
-        return (self._plugin.dialect.read({"": self._device.get(self._path)}, self._plugin.channel),)
-
-
-class _MqttPlug:
-    def __init__(self, plugin: SmartPlug, password: str | None) -> None:
-        self._plugin = plugin
-        reply_to = f"robot_runner_{secrets.token_hex(4)}"
-        exchange = plugin.dialect.exchange(plugin.topic or "", plugin.channel, reply_to)
-        user = plugin.user if password is not None else ""
-        broker, timeout, where = plugin.broker or "", plugin.timeout_s, plugin.name
-        self._requests = MqttRequests(broker, exchange, timeout=timeout, user=user, password=password, where=where)
-
-    def read(self) -> Readings:
-        return (self._plugin.dialect.read(self._requests.ask(), self._plugin.channel),)
+        return (self._dialect.read(self._ask(), self._channel),)
 
     def close(self) -> None:
-        self._requests.close()
+        if self._requests is not None:
+            self._requests.close()
 
 
 class SmartPlug(ElectricalProfiler):
@@ -122,7 +120,7 @@ class SmartPlug(ElectricalProfiler):
         self.broker = None if broker is None else check_url(broker, where=self.name, schemes=("mqtt", "mqtts"))
         self.topic = None if topic is None else topic.strip("/")
         self.channel = channel
-        self.user = user if user is not None else self.dialect.user
+        self.user = "admin" if user is None else user  # of all these plugs, unless it was changed
         self.timeout_s = timeout_s
         self.counter_step = self.dialect.counter_step
         self._secret = Secret.named(password_env, password_file, where=self.name)
@@ -150,12 +148,8 @@ class SmartPlug(ElectricalProfiler):
             return [Finding.error(where, "paho-mqtt is not installed", MQTT_INSTALL)]
         return trial_findings(self, self._opened)
 
-    def open(self, context: RobotRunnerContext) -> _HttpPlug | _MqttPlug:
-        """Return the plug, after one answer with its power.
-
-        Raises:
-            LinkError: the plug does not answer, or its answer has no power.
-        """
+    def open(self, context: RobotRunnerContext) -> _Plug:
+        """Return the plug, after one answer with its power; a `LinkError` says that there was none."""
         del context
         return self._opened()
 
@@ -173,9 +167,8 @@ class SmartPlug(ElectricalProfiler):
         way = {"url": self.url} if self.url is not None else {"broker": self.broker, "topic": self.topic}
         return {**super().details(), "kind": self.kind, **way, "channel": self.channel}
 
-    def _opened(self) -> _HttpPlug | _MqttPlug:
-        password = None if self._secret is None else self._secret.read(self.name)
-        plug = _HttpPlug(self, password) if self.url is not None else _MqttPlug(self, password)
+    def _opened(self) -> _Plug:
+        plug = _Plug(self, None if self._secret is None else self._secret.read(self.name))
         try:
             plug.read()
         except ValueError as error:

@@ -6,7 +6,7 @@ import re
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from robot_runner.core.errors import LinkError, did_you_mean
@@ -124,7 +124,7 @@ def find_rails(host: FileHost, root: str = "/sys") -> list[Rail]:
     hwmon = _files_of(host, f"{root}/class/hwmon/hwmon*", patterns)
     iio = _files_of(host, f"{root}/bus/iio/devices/iio:device*", ("name", "in_*", "rail_name_*"))
     addresses, batteries = _addresses(host, root), _batteries(host, root)
-    found: list[tuple[Sequence[str], str, Mapping[str, RailFile], str | None, float | None]] = []
+    found: list[tuple[Sequence[str], Rail]] = []
     for devices, rails_of in ((hwmon, _hwmon_rails), (iio, _iio_rails)):
         for folder, lines in devices.items():
             device = folder.rpartition("/")[2]
@@ -133,12 +133,12 @@ def find_rails(host: FileHost, root: str = "/sys") -> list[Rail]:
             for fallback, label, files in rails:
                 name = label or (chip if len(rails) == 1 else f"{chip}:{fallback}")
                 placed = f"{name}@{addresses.get(device, device)}"
-                names = name, placed, f"{placed}:{fallback}"
-                found.append((names, chip, files, batteries.get(folder), _largest_current(chip, files, lines)))
-    taken = [name for names, *_ in found for name in names]
-    return [
-        Rail(_first_unique(names, taken), chip, files, status, largest) for names, chip, files, status, largest in found
-    ]
+                rail = Rail(name, chip, files, batteries.get(folder), _largest_current(chip, files, lines))
+                found.append(((name, placed, f"{placed}:{fallback}"), rail))
+    taken = [name for names, _ in found for name in names]
+    # Each has the first of its names that no other rail has.
+    unique = (next((name for name in names if taken.count(name) == 1), names[-1]) for names, _ in found)
+    return [replace(rail, name=name) for name, (_, rail) in zip(unique, found, strict=True)]
 
 
 def _largest_current(chip: str, files: Mapping[str, RailFile], lines: Mapping[str, str]) -> float | None:
@@ -152,17 +152,8 @@ def _largest_current(chip: str, files: Mapping[str, RailFile], lines: Mapping[st
     return None
 
 
-def _first_unique(names: Sequence[str], taken: Sequence[str]) -> str:
-    """Return the first of a rail's names that no other rail has."""
-    return next((name for name in names if taken.count(name) == 1), names[-1])
-
-
 def choose_rails(rails: Sequence[Rail], names: Sequence[str] | None, *, where: str) -> list[Rail]:
-    """Return the rails with these names, or the only one with power.
-
-    Raises:
-        LinkError: there is no such rail, or none is named and there are several; the message lists all rails.
-    """
+    """Return the rails with these names, or the only one with power; else a `LinkError` lists all rails."""
     there = [rail.name for rail in rails]
     if names is None:
         powered = [rail for rail in rails if rail.tells_power]
@@ -293,8 +284,7 @@ def _iio_file(path: str, kind: str, match: re.Match[str], unit: float, lines: Ma
             return float(lines[name]) if name else otherwise
         except ValueError as error:
             fix = "Look at the sensor's files there."
-            raise LinkError(
-                f"{name} holds {lines[name or '']!r}, which is not a number", where=path, fix=fix
-            ) from error
+            problem = f"{name} holds {lines[name or '']!r}, which is not a number"
+            raise LinkError(problem, where=path, fix=fix) from error
 
     return RailFile(path, setting("scale", 1.0) * unit, setting("offset", 0.0))

@@ -108,11 +108,7 @@ def without_secrets(text: str) -> str:
 
 
 def frame_times(video: Path) -> list[float]:
-    """Return the time of each frame in a video, s, in the order in which they are shown.
-
-    Raises:
-        PluginError: the file is not a video.
-    """
+    """Return the time of each frame in a video, s, in the order shown; a `PluginError` says that it is no video."""
     asked = ("-select_streams", "v:0", "-show_entries", "packet=pts_time", "-of", "csv=p=0")
     said = _execute([FFPROBE, "-loglevel", "error", *asked, str(video)])
     found = (line.strip().strip(",") for line in said.splitlines())

@@ -83,11 +83,7 @@ class Recording:
 
     @undivided
     def take(self) -> None:
-        """Read the bytes that have arrived.
-
-        Raises:
-            LinkError: the line was lost.
-        """
+        """Read the bytes that have arrived; a `LinkError` says that the line was lost."""
         for chunk in self.line.drain():
             *records, self._rest = (self._rest + chunk.data.decode("ascii", errors="replace")).split(";")
             for record in records:
@@ -99,11 +95,7 @@ class Recording:
                     self.samples += [] if sample is None else [sample]
 
     def wait(self, is_enough: Callable[[], bool], clock: Clock, seconds: float) -> None:
-        """Read until `is_enough()`, at most for this many seconds.
-
-        Raises:
-            LinkError: the line was lost.
-        """
+        """Read until `is_enough()`, at most for this many seconds; a `LinkError` says that the line was lost."""
         deadline = clock.now() + seconds
         self.take()
         while not is_enough() and clock.now() < deadline:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, contextmanager, suppress
 from functools import partial
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -290,8 +290,9 @@ class ActionContract:
             with self.opened() as other:
                 goal = self.begun(other)
                 robot.close()
-                refused = _end_of(goal)
-                require(refused is not GoalStatus.SUCCEEDED, "a goal whose server left succeeded")
+                with suppress(LinkError):  # whose result is told, or is an error
+                    has_succeeded = goal.result(timeout=PATIENCE).status is GoalStatus.SUCCEEDED
+                    require(not has_succeeded, "a goal whose server left succeeded")
 
     def begun(self, link: RobotLink) -> Goal:
         """Send a long goal, and wait until its execution has begun."""
@@ -301,11 +302,3 @@ class ActionContract:
         )
         self.until(lambda: told, "no feedback comes", timeout=PATIENCE)
         return goal
-
-
-def _end_of(goal: Goal) -> GoalStatus | None:
-    """Return the final status of a goal whose server has left, or None where that is an error."""
-    try:
-        return goal.result(timeout=PATIENCE).status
-    except LinkError:
-        return None

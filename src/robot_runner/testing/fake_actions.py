@@ -79,11 +79,7 @@ class FakeGoal:
         return GoalStatus.EXECUTING if self._result is None else self._result.status
 
     def result(self, *, timeout: float) -> ActionResult:
-        """Move the clock on until the goal is over.
-
-        Raises:
-            LinkError: it is not over in time.
-        """
+        """Move the clock on until the goal is over; a `LinkError` says that it is not in time."""
         deadline = self._clock.now() + timeout
         while self._is_going_on() and self._clock.now() < deadline:
             self._clock.sleep(_POLL)
@@ -92,11 +88,7 @@ class FakeGoal:
         return self._result
 
     def cancel(self, *, timeout: float = 5.0) -> None:
-        """Cancel the goal.
-
-        Raises:
-            LinkError: the script refuses that.
-        """
+        """Cancel the goal; a `LinkError` says that the script refuses that."""
         del timeout
         if not self._is_going_on():
             return

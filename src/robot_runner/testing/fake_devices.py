@@ -82,11 +82,7 @@ class FakeHostLink:
         self.is_simulated = is_simulated
 
     def sample_utilisation(self, rate: float) -> _Sampler:
-        """Begin to sample.
-
-        Raises:
-            LinkError: the link was closed.
-        """
+        """Begin to sample; a `LinkError` says that the link was closed."""
         if self.is_closed:
             raise LinkError("the link was closed", where="FakeHostLink", fix="Use it before the run ends.")
         return _Sampler(self, self._clock, rate)
@@ -120,8 +116,7 @@ class FakeSerialLine:
         is_simulated: as given.
 
     Example:
-        >>> from robot_runner.measuring.serial_line import Chunk
-        >>> from robot_runner.testing import FakeClock, FakeSerialLine
+        >>> from robot_runner.testing import Chunk, FakeClock, FakeSerialLine
         >>> clock = FakeClock()
         >>> line = FakeSerialLine(clock, [Chunk(1.0, b"hello")])
         >>> line.drain()
@@ -149,11 +144,7 @@ class FakeSerialLine:
         self.is_simulated = is_simulated
 
     def drain(self) -> list[Chunk]:
-        """Return the chunks that have arrived since the last call.
-
-        Raises:
-            LinkError: the line was closed, or lost and drained.
-        """
+        """Return the chunks that have arrived since the last call; a `LinkError` if closed, or lost and drained."""
         now = self._clock.now() if self._lost_at is None else min(self._clock.now(), self._lost_at)
         arrived = [chunk for chunk in self._coming if chunk.received_at <= now]
         if self.is_closed or not arrived:
@@ -162,11 +153,7 @@ class FakeSerialLine:
         return arrived
 
     def write(self, data: bytes) -> None:
-        """Record the sent bytes, and let the device answer.
-
-        Raises:
-            LinkError: the line was closed or lost.
-        """
+        """Record the sent bytes, and let the device answer; a `LinkError` says that the line was closed or lost."""
         self._check()
         self.written += data
         if reply := self._answer(bytes(data)):

@@ -77,7 +77,9 @@ def _offer(offered: dict[str, Any], name: str) -> ExitStack:
 class FakeRobotLink:
     """A `RobotLink` that records operations and answers as a test scripts.
 
-    Names are used as given; messages are not checked against their types. Raw messages are those of ROS 2.
+    Names are used as given; messages are not checked against their types. Raw messages are those of ROS 2. Each
+    operation on the robot, which `definition` and `deliver` are not, raises the fault that is set, and a `LinkError`
+    once the link is closed.
 
     Attributes:
         publications: what was published, oldest first.
@@ -148,20 +150,12 @@ class FakeRobotLink:
         }
 
     def publish(self, topic: str, message_type: str, message: Message, *, qos: Qos = Qos.DEFAULT) -> None:
-        """Record the message.
-
-        Raises:
-            LinkError: the link was closed, or the fault that was set.
-        """
+        """Record the message."""
         self._check()
         self.publications.append(Publication(self._clock.now(), topic, message_type, message, qos))
 
     def advertise(self, topic: str, message_type: str, *, qos: Qos = Qos.DEFAULT, is_commanded: bool = True) -> bool:
-        """Add the topic to the graph; all its subscribers count as connected.
-
-        Raises:
-            LinkError: the link was closed, or the fault that was set.
-        """
+        """Add the topic to the graph; all its subscribers count as connected."""
         del qos, is_commanded
         self._check()
         self._advertised[topic] = message_type
@@ -176,11 +170,7 @@ class FakeRobotLink:
         qos: Qos | None = None,
         is_prompt: bool = False,
     ) -> _Subscription:
-        """Call `callback` with each message that is delivered on the topic.
-
-        Raises:
-            LinkError: the link was closed, or the fault that was set.
-        """
+        """Call `callback` with each message that is delivered on the topic."""
         del qos, is_prompt
         self._check()
         subscription = _Subscription(message_type, callback)
@@ -193,8 +183,9 @@ class FakeRobotLink:
         """Call `callback` with the bytes of each message that is delivered on the topic, completed by its type.
 
         Raises:
-            LinkError: there is no such type, the link was closed, or the fault that was set.
+            LinkError: also where there is no such type.
         """
+        self._check()
         types = _standard_types()
         shape = types.shape(message_type)
 
@@ -205,17 +196,12 @@ class FakeRobotLink:
         return self.subscribe(topic, message_type, receive, qos=qos)
 
     def wait_for(
-        self,
-        topic: str,
-        message_type: str,
-        condition: Callable[[Message], bool] | None = None,
-        *,
-        timeout: float = 5.0,
+        self, topic: str, message_type: str, condition: Callable[[Message], bool] | None = None, *, timeout: float = 5.0
     ) -> Message:
         """Move the clock on until a delivered message satisfies the condition (None: any message).
 
         Raises:
-            LinkError: none does within `timeout` seconds of the clock, or as `subscribe`.
+            LinkError: also where none does within `timeout` s of the clock.
         """
         first = FirstMessage(condition, timeout)
         subscription, deadline = self.subscribe(topic, message_type, first.take), self._clock.now() + timeout
@@ -233,11 +219,7 @@ class FakeRobotLink:
                 subscription.callback(message)
 
     def call(self, service: str, service_type: str, request: Message | None = None, *, timeout: float = 5.0) -> Message:
-        """Record the call and answer as scripted.
-
-        Raises:
-            LinkError: no answer was scripted for the service, the link was closed, or the fault that was set.
-        """
+        """Record the call and answer as scripted; without a script for the service, a `LinkError` names the nearest."""
         del timeout
         self._check()
         self.calls.append(ServiceCall(self._clock.now(), service, service_type, request or {}))
@@ -250,11 +232,7 @@ class FakeRobotLink:
         return answer(request or {}) if callable(answer) else answer
 
     def offer(self, service: str, service_type: str, answer: Callable[[Message], Message]) -> ExitStack:
-        """Let a function answer `call` until the offer is closed.
-
-        Raises:
-            LinkError: the service exists already, the link was closed, or the fault that was set.
-        """
+        """Let a function answer `call` until the offer is closed; a `LinkError` if the service exists already."""
         self._check()
         if service in self._services:
             raise LinkError(f"there is a service {service!r} already", where=_WHERE, fix="Choose another name.")
@@ -274,8 +252,7 @@ class FakeRobotLink:
         """Record the goal, which proceeds as scripted.
 
         Raises:
-            LinkError: the action was not scripted, has another type or rejects the goal, the link was closed, or the
-                fault that was set.
+            LinkError: also where the action was not scripted, has another type, or rejects the goal.
         """
         del timeout
         self._check()
@@ -297,11 +274,7 @@ class FakeRobotLink:
         *,
         accept: Callable[[Message], bool] | None = None,
     ) -> ExitStack:
-        """Let a function execute goals until the offer is closed; each is executed when it is first waited for.
-
-        Raises:
-            LinkError: the action exists already, the link was closed, or the fault that was set.
-        """
+        """Let a function execute goals, each when it is first waited for, until the offer is closed; as `offer`."""
         self._check()
         if action in self._actions:
             raise LinkError(f"there is an action {action!r} already", where=_WHERE, fix="Choose another name.")
@@ -356,11 +329,7 @@ class FakeRobotLink:
         return list(self.known_subscribers.get(topic, default))
 
     def definition(self, message_type: str) -> str:
-        """Return the text of a type's definition in ROS 2.
-
-        Raises:
-            LinkError: there is no such type.
-        """
+        """Return the text of a type's definition in ROS 2; a `LinkError` if there is no such type."""
         return _standard_types().definition(message_type)
 
     def close(self) -> None:

@@ -110,7 +110,7 @@ class RecordingBroker(MeasureBroker):
         records: oldest first, each with its kind (`measure`, `finding`, `window`, ...).
 
     Example:
-        >>> from robot_runner.core.events.measure import Measure, Origin
+        >>> from robot_runner.plugins import Measure, Origin
         >>> broker = RecordingBroker({"Scale": [Measure("Mass", "kg", "Mass of the robot.")]})
         >>> broker.publish("Scale", "Mass", 1.0, Origin.MEASURED)
         >>> broker.values

@@ -29,11 +29,7 @@ class FaultyCallback:
         self.calls = 0
 
     def __call__(self, message: Message) -> None:
-        """Raise.
-
-        Raises:
-            ValueError: always.
-        """
+        """Count the message, and raise a `ValueError`."""
         del message
         self.calls += 1
         raise ValueError("a fault of the callback")

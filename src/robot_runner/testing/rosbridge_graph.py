@@ -199,10 +199,8 @@ class Graph:
         if topic is None or not topic.is_there:
             topic = self.topics[name] = ServedTopic(name, type_name)
         if topic.type_name != type_name:
-            raise Refusal(
-                f"Tried to register topic {name} with type {type_name} but it is already established with type "
-                f"{topic.type_name}"
-            )
+            tried = f"Tried to register topic {name} with type {type_name}"
+            raise Refusal(f"{tried} but it is already established with type {topic.type_name}")
         return topic
 
     def _tidy(self, name: str) -> None:
@@ -213,9 +211,7 @@ class Graph:
 def received(shape: Shape, values: object, *, where: str) -> dict[str, Any]:
     """Convert a message of the protocol, which may lack fields, to a complete plain mapping.
 
-    Raises:
-        Refusal: it has a field that the type does not have.
-        LinkError: a value is not of its field's kind.
+    A `Refusal` says that it has a field that the type does not have, a `LinkError` that a value is of another kind.
     """
     defaults = to_protocol(shape, completed(shape, {}, where=where))
     return completed(shape, from_protocol(shape, _merged(defaults, values or {}, where), where=where), where=where)
@@ -347,7 +343,7 @@ def _describe(shape: Shape, found: dict[str, dict[str, Any]]) -> None:
     found[shape.type_name] = {
         "type": shape.type_name,
         "fieldnames": list(shape.names),
-        "fieldtypes": [_kind(field) for field in shape.fields],
+        "fieldtypes": [each.kind.type_name if isinstance(each.kind, Shape) else each.kind for each in shape.fields],
         "fieldarraylen": [_length(field) for field in shape.fields],
         "examples": ["" for _ in shape.fields],
         "constnames": [],
@@ -356,10 +352,6 @@ def _describe(shape: Shape, found: dict[str, dict[str, Any]]) -> None:
     for each in shape.fields:
         if isinstance(each.kind, Shape):
             _describe(each.kind, found)
-
-
-def _kind(field: Field) -> str:
-    return field.kind.type_name if isinstance(field.kind, Shape) else field.kind
 
 
 def _length(field: Field) -> int:

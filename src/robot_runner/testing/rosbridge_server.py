@@ -38,6 +38,8 @@ if TYPE_CHECKING:
     from ssl import SSLContext
 
 _logger = logging.getLogger(__name__)
+_vanishing = logging.getLogger(f"{__name__}.websockets")
+_vanishing.setLevel(logging.CRITICAL)  # tests let clients vanish on purpose
 
 
 class ServedClient:
@@ -297,7 +299,7 @@ class RosbridgeServer:
             process_request=self._judge,
             max_size=None,
             compression=None,
-            logger=_quiet(),
+            logger=_vanishing,
         )
         self._thread = threading.Thread(target=self._server.serve_forever, name="rosbridge server", daemon=True)
         self._thread.start()
@@ -341,11 +343,7 @@ class RosbridgeServer:
         self._thread.join(5.0)
 
     def call(self, caller: ServedClient, number: Any, service: str, request: Mapping[str, Any]) -> None:
-        """Let a service answer a client; called with the lock held.
-
-        Raises:
-            Refusal: there is no such service, or the request is not of its type.
-        """
+        """Let a service answer a client, or raise a `Refusal`; called with the lock held."""
         if self._rosapi.hangs and service.startswith("/rosapi/"):
             caller.asking.add(str(number))
             return
@@ -391,9 +389,3 @@ class RosbridgeServer:
         client = ServedClient(self, connection)
         self._clients.append(client)
         client.serve()
-
-
-def _quiet() -> logging.Logger:
-    logger = logging.getLogger(f"{__name__}.websockets")
-    logger.setLevel(logging.CRITICAL)  # tests let clients vanish on purpose
-    return logger

@@ -84,11 +84,7 @@ class ServedActions:
         graph.action_types = lambda: {name: each.type_name for name, each in self.offered.items()}
 
     def take(self, operation: Mapping[str, Any], client: _Client) -> None:
-        """Handle an operation about actions.
-
-        Raises:
-            Refusal: it is not possible.
-        """
+        """Handle an operation about actions; a `Refusal` says that it is not possible."""
         if not self.is_known:
             raise Refusal(f"Unknown operation: {operation['op']}")
         self.takers[operation["op"]](operation, client)

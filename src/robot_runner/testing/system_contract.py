@@ -131,10 +131,8 @@ class SystemContract(PluginContract):
             return self.robot_stands_still(context)
         finally:
             context.resources.close()
-        raise AssertionError(
-            f"an exception of context.clock.sleep {moment:.2f} s into the run did not end it: "
-            "sleep on context.clock only, and let exceptions through"
-        )
+        problem = f"an exception of context.clock.sleep {moment:.2f} s into the run did not end it"
+        raise AssertionError(f"{problem}: sleep on context.clock only, and let exceptions through")
 
     def _stands_still_after_its_death(self, folder: Path, moment: float) -> bool:
         plugin, standing_by = (cast("System", self.make_plugin()) for _ in range(2))

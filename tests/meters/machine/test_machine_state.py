@@ -88,7 +88,7 @@ def test_the_flags_of_a_raspberry_pi_are_understood(
     copy = ComputerCopy(tmp_path)
     copy.write(f"sys/devices/platform/{bus}/{bus}:firmware/get_throttled", shown)
     files = MachineFiles(SystemFiles(tmp_path))
-    assert files.has_firmware
+    assert files.processor.has_firmware
     conditions = files.conditions()
     assert conditions.is_under_voltage is now
     assert conditions.firmware_flags == ever
@@ -107,7 +107,7 @@ def test_an_empty_folder_tells_nothing(tmp_path: Path) -> None:
     state = files.state()
     assert (state.busy, state.stolen, state.swapped, state.stalled) == (None, None, None, None)
     assert not state.processes
-    assert not files.tells_of_conditions
+    assert not files.processor.changing
 
 
 @pytest.mark.parametrize("text", ["", "no line", "12 (cut) S 1 2 3", "cpu"])

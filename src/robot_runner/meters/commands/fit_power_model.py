@@ -98,9 +98,8 @@ def _chosen(done: Sequence[str], wanted: str | None) -> Sequence[str]:
     for run_id in chosen:
         if run_id not in done:
             fix = did_you_mean(run_id, done) if done else "Execute the experiment first."
-            raise UsageError(
-                f"no run {run_id!r} is done, or it is left out", where="robot-runner fit-power-model", fix=fix
-            )
+            problem = f"no run {run_id!r} is done, or it is left out"
+            raise UsageError(problem, where="robot-runner fit-power-model", fix=fix)
     return chosen or done
 
 
@@ -125,31 +124,24 @@ def _print(console: UserConsole, model: dict[str, Any], path: str | None) -> Non
         console.print(Text("  ").append(f"{term:24}", style="bold").append(shown))
     console.print()
     kept = "not kept; --out FILE keeps it, for PowerModel(model=FILE)"
+    fitted_on = f"{counted(len(fit['runs']), 'run')}, {shown_duration(fit['seconds'])} of {fit['power_source']}"
+    lag = f"correlation allowed for over {counted(fit['correlation_lag'], 'piece')} of time"
+    ranges = (f"{term} {low:.0f} to {high:.0f} %" for term, (low, high) in model["ranges_percent"].items())
     print_facts(
         console,
         [
-            (
-                "Fitted on",
-                f"{counted(len(fit['runs']), 'run')}, {shown_duration(fit['seconds'])} of {fit['power_source']}",
-            ),
+            ("Fitted on", fitted_on),
             ("Origin", "power was simulated, not measured" if fit["is_simulated"] else ""),
             ("Explained", f"{100 * fit['r_squared']:.1f} % of the variance of power (R² {fit['r_squared']:.3f})"),
             ("Residual", f"{fit['residual_W']:.3f} W (root mean square)"),
-            ("Errors", f"± covers the true value in 95 of 100 experiments ({_correlation(fit)})"),
+            ("Errors", f"± covers the true value in 95 of 100 experiments ({lag})"),
             ("Linearity", _linearity(fit["linearity"])),
             ("Held out", _held_out(fit["energy_errors"], len(fit["runs"]))),
-            (
-                "Range",
-                "; ".join(f"{term} {low:.0f} to {high:.0f} %" for term, (low, high) in model["ranges_percent"].items()),
-            ),
+            ("Range", "; ".join(ranges)),
             ("Left out", listed(f"{run} ({why})" for run, why in fit["left_out"].items())),
             ("Model", shown_path(Path(path).expanduser().resolve()) if path else kept),
         ],
     )
-
-
-def _correlation(fit: dict[str, Any]) -> str:
-    return f"correlation allowed for over {counted(fit['correlation_lag'], 'piece')} of time"
 
 
 def _linearity(linearity: dict[str, Any] | None) -> str:

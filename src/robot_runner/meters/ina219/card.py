@@ -30,6 +30,7 @@ class CardRecording:
 
     Example:
         >>> from pathlib import Path
+        >>> from robot_runner.plugins.profilers import read_card
         >>> from tempfile import TemporaryDirectory
         >>> hello = "a55a 120c 0000 00000000 c800 a0860100 cf1c 0b0d"
         >>> data = bytes.fromhex(hello + "a55a 1108 0100 88130000 f217 e260 15df").ljust(512, bytes(1))
@@ -51,7 +52,17 @@ class CardRecording:
     @property
     def marked(self) -> tuple[Window, ...]:
         """The time spans in which the mark was on; one that never ended reaches to the last sample."""
-        return tuple(self._marked())
+        spans: list[Window] = []
+        begun: float | None = None
+        for mark in self.stream.marks:
+            if mark.is_on and begun is None:
+                begun = mark.seconds
+            elif not mark.is_on and begun is not None:
+                spans.append(Window(begun, mark.seconds))
+                begun = None
+        if begun is not None and len(self.stream):
+            spans.append(Window(begun, max(begun, self.times[-1])))
+        return tuple(spans)
 
     def evaluate(
         self, window: Window | None = None, *, shunt_ohm: float | None = None, rate_hz: float | None = None
@@ -65,17 +76,6 @@ class CardRecording:
             raise LinkError("the recording has no samples", where="INA219 card", fix="Look at the sensor's wires.")
         whole = window or Window(self.times[0], self.times[-1])
         return evaluate_registers(self.stream, self.times, whole, shunt_ohm=shunt_ohm, rate_hz=rate_hz)
-
-    def _marked(self) -> Iterator[Window]:
-        begun: float | None = None
-        for mark in self.stream.marks:
-            if mark.is_on and begun is None:
-                begun = mark.seconds
-            elif not mark.is_on and begun is not None:
-                yield Window(begun, mark.seconds)
-                begun = None
-        if begun is not None and len(self.stream):
-            yield Window(begun, max(begun, self.times[-1]))
 
 
 def read_card(path: Path | str, *, address: int = FIRST_SENSOR) -> list[CardRecording]:
@@ -207,13 +207,10 @@ class CardMeter:
         while (state := _state(self._file)) != last or state is None:
             is_new = state not in {None, self._before}
             if self._clock.now() >= deadline + (_LONGEST_COPY if is_new else 0.0):
-                raise LinkError(
-                    "the new recording is still being written"
-                    if is_new
-                    else f"no new recording came within {self._patience:g} s",
-                    where=str(self._file),
-                    fix="Copy INA219.BIN from the meter's card to it after each mission, or give card_patience_s more.",
-                )
+                late = "the new recording is still being written"
+                problem = late if is_new else f"no new recording came within {self._patience:g} s"
+                fix = "Copy INA219.BIN from the meter's card to it after each mission, or give card_patience_s more."
+                raise LinkError(problem, where=str(self._file), fix=fix)
             last = state if is_new else None
             self._clock.sleep(_POLL)
 

@@ -51,10 +51,8 @@ def power_doubts(power: Series, window: Window, limits: tuple[float, float] | No
     outside = [value for value in values if not low <= value <= high]
     if outside:
         worst = max(outside, key=lambda value: max(low - value, value - high))
-        yield (
-            f"{len(outside)} of {len(values)} samples lie outside the plausible {low:g} to {high:g} W, "
-            f"the furthest at {worst:.2f} W"
-        )
+        implausible = f"{len(outside)} of {len(values)} samples lie outside the plausible {low:g} to {high:g} W"
+        yield f"{implausible}, the furthest at {worst:.2f} W"
 
 
 def voltage_doubts(volts: Sequence[float]) -> Iterator[str]:
@@ -71,10 +69,8 @@ def stream_doubts(
     yield from _line_doubts(stream, stream.troubles(window, times))
     if abs(stream.drift) > _LARGEST_DRIFT:
         way = "slow" if stream.drift > 0 else "fast"
-        yield (
-            f"the meter's clock goes {100 * abs(stream.drift):.1f} % {way} by the arrivals of its samples, "
-            "which no resonator does; the samples were placed by their arrivals"
-        )
+        off = f"the meter's clock goes {100 * abs(stream.drift):.1f} % {way} by the arrivals of its samples"
+        yield f"{off}, which no resonator does; the samples were placed by their arrivals"
     if 0 in stream.configurations:
         yield f"the power meter answered, its sensor did not: {_LOOK}"
     if POWER_ON_CONFIGURATION in stream.configurations:

@@ -96,11 +96,7 @@ class SharedLine:
         return self._line.is_simulated
 
     def since(self, count: int) -> list[Chunk]:
-        """Return the chunks after the first `count`.
-
-        Raises:
-            LinkError: the line was lost, and there is nothing more.
-        """
+        """Return the chunks after the first `count`; a `LinkError` says that the line was lost, and there are none."""
         with self._lock:
             try:
                 with undivided:  # what was taken from the line is kept, also where the mission ends now
@@ -111,11 +107,7 @@ class SharedLine:
             return self._chunks[count:]
 
     def latest(self) -> bytes:
-        """Return the last bytes that arrived, enough for a few samples.
-
-        Raises:
-            LinkError: the line was lost, and there is nothing more.
-        """
+        """Return the last bytes that arrived, enough for a few samples; a `LinkError` as of `since`."""
         self.since(len(self._chunks))
         return b"".join(chunk.data for chunk in self._chunks[-_LATEST_CHUNKS:])[-_LATEST_BYTES:]
 
@@ -156,11 +148,7 @@ class LineMeter:
         self._sampled: Window | None = None
 
     def begin(self) -> None:
-        """Wait for a first sample, at most for a few seconds.
-
-        Raises:
-            LinkError: the line was lost.
-        """
+        """Wait for a first sample, at most for a few seconds; a `LinkError` says that the line was lost."""
         deadline = self._clock.now() + _PATIENCE
         self._take()
         while not len(self._stream) and self._clock.now() < deadline:
@@ -171,10 +159,7 @@ class LineMeter:
     def latest_power(self) -> float | None:
         """Return the power of the last sample that arrived, W, for live displays; None where none is complete.
 
-        This sample is decoded separately, and the call may come from another thread.
-
-        Raises:
-            LinkError: the line was lost.
+        This sample is decoded separately, and the call may come from another thread. A `LinkError` as of `begin`.
         """
         frames = FrameDecoder().feed(self._line.latest())
         for each in reversed(frames):
@@ -185,11 +170,7 @@ class LineMeter:
         return None
 
     def end(self) -> None:
-        """Take the bytes that arrived; a second call does nothing.
-
-        Raises:
-            LinkError: the line was lost; the bytes until then are kept.
-        """
+        """Take the bytes that arrived, then raise the `LinkError` of a lost line; a second call does nothing."""
         if self._sampled is not None:
             return
         self._sampled = Window(self._start, self._clock.now())

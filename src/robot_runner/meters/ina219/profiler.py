@@ -262,11 +262,7 @@ class Ina219(Profiler):
         yield from self._clashes(circumstances)
 
     def start_measurement(self, context: RobotRunnerContext) -> None:
-        """Connect to the sensor and start taking samples.
-
-        Raises:
-            LinkError: the sensor cannot be reached.
-        """
+        """Connect to the sensor and start taking samples; a `LinkError` says that it cannot be reached."""
         self._meter = self._evaluation = None
         meter = self._open_meter(context)
         meter.begin()
@@ -274,11 +270,7 @@ class Ina219(Profiler):
         self._show_live(meter, context)
 
     def stop_measurement(self, context: RobotRunnerContext) -> None:
-        """Take the samples that the line has kept.
-
-        Raises:
-            LinkError: the connection to the sensor was lost; the samples until then are kept all the same.
-        """
+        """Take the samples that the line has kept; then raise the `LinkError` of a lost line."""
         del context
         watcher, self._watcher = self._watcher, None
         if watcher is not None:

@@ -204,20 +204,16 @@ def evaluate_registers(
             Column("current_A", current),
             Column("voltage_V", voltage, "%.3f"),
         ),
-        details=_details(stream, shunt, rate),
+        details={
+            "shunt_ohm": shunt,
+            "rate_hz": rate,
+            "restarts": stream.troubles()[Trouble.RESTART],
+            "clock_drift": stream.drift,
+            "bytes": stream.bytes,
+            "line": stream.counts._asdict(),
+            "hello": None if stream.hello is None else asdict(stream.hello),
+            "sensing": None if stream.sensing is None else asdict(stream.sensing),
+        },
         doubts=(*stream_doubts(stream, window, times, voltage), *settings_doubts(stream, shunt, rate)),
         is_simulated=is_simulated,
     )
-
-
-def _details(stream: SampleStream, shunt: float, rate: float) -> dict[str, Any]:
-    return {
-        "shunt_ohm": shunt,
-        "rate_hz": rate,
-        "restarts": stream.troubles()[Trouble.RESTART],
-        "clock_drift": stream.drift,
-        "bytes": stream.bytes,
-        "line": stream.counts._asdict(),
-        "hello": None if stream.hello is None else asdict(stream.hello),
-        "sensing": None if stream.sensing is None else asdict(stream.sensing),
-    }

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from robot_runner.core.errors import LinkError
 from robot_runner.core.events.context import Clock
@@ -32,7 +32,6 @@ _HWMON = ("power1_input", "curr1_input", "in1_input")
 _HWMON_SHUNT = "shunt_resistor"
 _IIO = ("in_voltage0_raw", "in_voltage1_raw")
 _IIO_SCALES = ("in_voltage0_scale", "in_voltage1_scale", "in_shunt_resistor")
-_SHUNT_VOLT_SCALE, _BUS_VOLT_SCALE, _SHUNT = range(3)
 
 
 class Reading(NamedTuple):
@@ -132,9 +131,8 @@ def _open_sensor(host: FileHost, folder: str, where: str) -> SysfsSensor:
         if found.keys() >= {*_HWMON, _HWMON_SHUNT}:
             return SysfsSensor(folder, chip, "hwmon", _HWMON, int(found[_HWMON_SHUNT]) * 1e-6)
         if found.keys() >= {*_IIO, *_IIO_SCALES}:
-            scales = [float(found[name]) for name in _IIO_SCALES]
-            pair = scales[_SHUNT_VOLT_SCALE], scales[_BUS_VOLT_SCALE]
-            return SysfsSensor(folder, chip, "iio", _IIO, scales[_SHUNT], pair)
+            shunt_scale, bus_scale, shunt_ohm = (float(found[name]) for name in _IIO_SCALES)
+            return SysfsSensor(folder, chip, "iio", _IIO, shunt_ohm, (shunt_scale, bus_scale))
     except ValueError as error:
         raise LinkError(f"{folder}: {error}", where=where, fix="Look at the sensor's files there.") from error
     lacking = sorted({*_HWMON, _HWMON_SHUNT} - found.keys())
@@ -206,7 +204,7 @@ class SysfsMeter:
             details={
                 "shunt_ohm": self._shunt_ohm,
                 "rate_hz": report.rate,
-                "sensor": _facts(self._sensor),
+                "sensor": {name: getattr(self._sensor, name) for name in ("folder", "chip", "driver", "shunt_ohm")},
                 "form": report.form,
                 "host_clock": report.clock_facts,
             },
@@ -234,7 +232,3 @@ class SysfsMeter:
         contradiction = f"the driver was told of a shunt of {told:g} ohm, not {used:g} ohm: {_SETTLE}"
         doubts = [contradiction] if abs(told - used) > 0.001 * used else []
         return (*doubts, *report.problems)
-
-
-def _facts(sensor: SysfsSensor) -> dict[str, Any]:
-    return {"folder": sensor.folder, "chip": sensor.chip, "driver": sensor.driver, "shunt_ohm": sensor.shunt_ohm}

@@ -155,18 +155,14 @@ class MachineReport:
     def _changes(self) -> Iterator[str]:
         first, last = self.before.conditions, self.after.conditions
         if first.governors != last.governors:
-            yield (
-                f"the CPU governor changed from {enumerated(first.governors)} to {enumerated(last.governors)} "
-                f"during {self.run_id}"
-            )
+            changed = f"the CPU governor changed from {enumerated(first.governors)} to {enumerated(last.governors)}"
+            yield f"{changed} during {self.run_id}"
         if first.is_turbo != last.is_turbo:
             words = {True: "on", False: "off", None: "unknown"}
             yield f"turbo went from {words[first.is_turbo]} to {words[last.is_turbo]} during {self.run_id}"
         if first.limit and last.limit and not math.isclose(first.limit, last.limit, rel_tol=0.01):
-            yield (
-                f"the highest frequency that is allowed went from {first.limit / _MEGA:,.0f} to "
-                f"{last.limit / _MEGA:,.0f} MHz during {self.run_id}"
-            )
+            went = f"went from {first.limit / _MEGA:,.0f} to {last.limit / _MEGA:,.0f} MHz"
+            yield f"the highest frequency that is allowed {went} during {self.run_id}"
 
     @property
     def _steal(self) -> float | None:

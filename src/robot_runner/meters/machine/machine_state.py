@@ -143,26 +143,19 @@ class MachineFiles:
 
     Args:
         files: the computer.
+
+    Attributes:
+        processor: the files of its processor.
     """
 
     def __init__(self, files: Files) -> None:
         self._files = files
-        self._processor = ProcessorFiles(files)
-        self._cheap = [*self._processor.settings, *self._processor.changing]
-
-    @property
-    def tells_of_conditions(self) -> bool:
-        """Whether there are files of conditions of the processor that change by themselves."""
-        return bool(self._processor.changing)
-
-    @property
-    def has_firmware(self) -> bool:
-        """Whether there is a Raspberry Pi's firmware, whose flags may be taken back after two seconds."""
-        return self._processor.has_firmware
+        self.processor = ProcessorFiles(files)
+        self._cheap = [*self.processor.settings, *self.processor.changing]
 
     def conditions(self) -> Conditions:
         """Read the conditions of the processor: a few files for each core."""
-        return self._processor.conditions(dict(zip(self._cheap, self._files.read_files(self._cheap), strict=True)))
+        return self.processor.conditions(dict(zip(self._cheap, self._files.read_files(self._cheap), strict=True)))
 
     def state(self) -> MachineState:
         """Read everything, also each process."""
@@ -181,7 +174,7 @@ class MachineFiles:
             reader=next(iter(_processes([reader])), None),
             swapped=_swapped(memory),
             stalled=_stalled(pressure),
-            conditions=self._processor.conditions(dict(zip(self._cheap, cheap, strict=True))),
+            conditions=self.processor.conditions(dict(zip(self._cheap, cheap, strict=True))),
         )
 
     def command_lines(self, pids: Sequence[int]) -> dict[int, list[str]]:

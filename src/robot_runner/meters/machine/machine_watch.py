@@ -77,10 +77,6 @@ class MachineWatch(Profiler):
         """Note the plugins that may measure a computer; which computer it is, is known in each run."""
         self._measuring = tuple(plugins)
 
-    @property
-    def _concerned(self) -> list[tuple[str, Computer]]:
-        return concerned(self._measuring)
-
     def claims(self, robot: str | None) -> Iterable[str]:
         """Return no claims, as watching disturbs nothing."""
         del robot
@@ -124,7 +120,7 @@ class MachineWatch(Profiler):
                 context.warn(f"{watched.computer.host} could not be watched: {problem}")
         for host, report in self._reports(context.run_id):
             problems = report.problems()
-            owners = [name for name, computer in self._concerned if computer.host == host]
+            owners = [name for name, computer in concerned(self._measuring) if computer.host == host]
             if problems and owners:
                 for owner in owners:
                     context.broker.doubt(owner, "; ".join(problems), _FIX, ())
@@ -135,7 +131,7 @@ class MachineWatch(Profiler):
         """Return each computer once, with the connection of the first profiler that measures it."""
         named = [Computer(host) for host in self.hosts]
         by_host: dict[str, Computer] = {}
-        for computer in (*(each for _, each in self._concerned), *named):
+        for computer in (*(each for _, each in concerned(self._measuring)), *named):
             known = by_host.get(computer.host, computer)
             by_host[computer.host] = replace(known, subjects=(*known.subjects, *computer.subjects))
         return list(by_host.values())
@@ -180,8 +176,8 @@ class _WatchedComputer:
 
     def begin(self) -> None:
         self._before, self._after = self._look(), None
-        if self.is_here and self._files.tells_of_conditions:
-            period = _PERIOD_OF_FLAGS if self._files.has_firmware else _PERIOD
+        if self.is_here and self._files.processor.changing:
+            period = _PERIOD_OF_FLAGS if self._files.processor.has_firmware else _PERIOD
             self._poller = PeriodicSampler(self._files.conditions, rate=1 / period, clock=SystemClock())
             self._poller.start()
 

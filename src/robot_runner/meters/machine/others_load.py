@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import PurePath
 from typing import TYPE_CHECKING
@@ -11,7 +11,7 @@ from robot_runner.measuring.cpu_counters import counted_before
 from robot_runner.measuring.local_host import matches
 
 if TYPE_CHECKING:
-    from robot_runner.meters.machine.machine_state import MachineState, ProcessTimes
+    from robot_runner.meters.machine.machine_state import MachineState
 
 _PERCENT = 100.0
 #: How many of the busiest processes are listed: a reader would not read more.
@@ -131,7 +131,11 @@ def _spent(before: MachineState, after: MachineState) -> dict[int, float]:
     If a process adopted an orphan, its counter includes CPU time from before the first state. So children count for no
     more than the processor was busy.
     """
-    ended = {each.pid: (each.parent, each.own + each.children) for each in _ended(before, after)}
+    ended = {
+        pid: (each.parent, each.own + each.children)
+        for pid, each in before.processes.items()
+        if pid not in after.processes or after.processes[pid].started != each.started
+    }
     earlier = counted_before(ended)
     spent: dict[int, float] = {}
     by_children: dict[int, float] = {}
@@ -148,10 +152,3 @@ def _spent(before: MachineState, after: MachineState) -> dict[int, float]:
         excess -= by_children[pid] - counted
         spent[pid] += counted
     return spent
-
-
-def _ended(before: MachineState, after: MachineState) -> Iterable[ProcessTimes]:
-    for process in before.processes.values():
-        now = after.processes.get(process.pid)
-        if now is None or now.started != process.started:
-            yield process

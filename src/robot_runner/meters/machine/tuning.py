@@ -158,11 +158,7 @@ class Machine:
         }
 
     def drop_caches(self) -> None:
-        """Make the kernel drop its caches of files, after writing modified data to disk.
-
-        Raises:
-            PluginError: that is not allowed.
-        """
+        """Make the kernel write modified data to disk and drop its caches of files; a `PluginError` if it may not."""
         os.sync()
         self._set(Change(_CACHES, "", _ALL_CACHES), is_kept=False)
 
@@ -187,9 +183,8 @@ class Machine:
         for path in governors[:1]:
             known = text_in(path.with_name("scaling_available_governors")).split()
             if wishes.governor not in known:
-                yield Finding.error(
-                    where, f"there is no governor {wishes.governor!r}", did_you_mean(wishes.governor, known)
-                )
+                problem = f"there is no governor {wishes.governor!r}"
+                yield Finding.error(where, problem, did_you_mean(wishes.governor, known))
             if not os.access(path, os.W_OK):
                 yield Finding.error(where, f"{path} cannot be written", _AS_ROOT)
 
@@ -214,9 +209,8 @@ class Machine:
             problem = f"there is no core {enumerated(map(str, missing))} for this process"
             yield Finding.error(where, problem, f"Choose among {', '.join(map(str, there))}.")
         elif set(wishes.cores) == set(there):
-            yield Finding.error(
-                where, f"cores has all {len(there)} cores", "Leave at least one core to everything else."
-            )
+            problem = f"cores has all {len(there)} cores"
+            yield Finding.error(where, problem, "Leave at least one core to everything else.")
 
     def _planned(self, wishes: Wishes, owner: int | None) -> Kept:
         changes = []
@@ -251,16 +245,16 @@ class Machine:
             raise PluginError(problem, where=str(path), fix=_AS_ROOT) from error
         if found != change.wanted:
             problem = f"{path} was set to {change.wanted!r} and is {found!r}"
-            raise PluginError(
-                problem, where=str(path), fix="Find out which program sets it as well, such as power-profiles-daemon."
-            )
+            fix = "Find out which program sets it as well, such as power-profiles-daemon."
+            raise PluginError(problem, where=str(path), fix=fix)
 
     def _threads(self) -> Iterator[tuple[int, tuple[str, list[int]]]]:
         """Yield each thread that is not the kernel's, with its start and the cores that it may use."""
         for path in (self.root / "proc").glob("[0-9]*/task/[0-9]*"):
-            process = _process(path)
-            if process is not None and not process.is_kernel and (cores := _affinity(process.pid)):
-                yield process.pid, (process.started, sorted(cores))
+            with suppress(ValueError):  # it has ended
+                process = ProcessTimes.of_stat(text_in(path / "stat"))
+                if not process.is_kernel and (cores := _affinity(process.pid)):
+                    yield process.pid, (process.started, sorted(cores))
 
     def _isolate(self, kept: Kept, cores: tuple[int, ...]) -> None:
         """Keep the experiment on its cores, and other threads off them, as far as that is allowed."""
@@ -298,21 +292,11 @@ class Machine:
 
 
 def _setting_in(path: Path) -> str:
-    """Return what is set now; empty where the setting is gone, as that of a core that was switched off.
-
-    Raises:
-        OSError: it cannot be read.
-    """
+    """Return what is set now; empty where that is gone, as of a core that was switched off; or raise an `OSError`."""
     try:
         return path.read_text(encoding="ascii", errors="replace").strip()
     except FileNotFoundError:
         return ""
-
-
-def _process(folder: Path) -> ProcessTimes | None:
-    with suppress(ValueError):
-        return ProcessTimes.of_stat(text_in(folder / "stat"))
-    return None
 
 
 def _own_threads() -> set[int]:

@@ -17,11 +17,7 @@ from robot_runner.core.storage.safe_write import write_beside_and_rename
 
 
 def state_file() -> Path:
-    """Return the path of the file: in the user's folder of state (XDG_STATE_HOME).
-
-    Raises:
-        StorageError: the user has no home folder.
-    """
+    """Return the file's path in the user's folder of state (XDG_STATE_HOME); a `StorageError` without a home folder."""
     return user_folder("XDG_STATE_HOME") / "tuned.json"
 
 
@@ -60,11 +56,7 @@ class Kept:
 
     @classmethod
     def read(cls, path: Path) -> Kept | None:
-        """Read a file of state; return None if there is none.
-
-        Raises:
-            PluginError: the file cannot be read.
-        """
+        """Read a file of state; None if there is none, and a `PluginError` if it cannot be read."""
         try:
             found = json.loads(path.read_text(encoding="utf-8"))
             owner, threads = found["owner"], found["threads"]
@@ -88,10 +80,6 @@ class Kept:
             raise PluginError(problem, where=str(path), fix=fix) from error
 
     def write(self, path: Path) -> None:
-        """Write the file of state, and flush it to disk.
-
-        Raises:
-            StorageError: the file cannot be written.
-        """
+        """Write the file of state, and flush it to disk; a `StorageError` says that it cannot be written."""
         path.parent.mkdir(parents=True, exist_ok=True)
         write_beside_and_rename(path, lambda file: json.dump(asdict(self), file, indent=1))

@@ -28,11 +28,7 @@ _CAUSE = 0.1
 
 
 def _solved(pieces: PiecesOfRuns, terms: Sequence[str]) -> Floats:
-    """Return the least-squares coefficients, with each piece weighted by its duration.
-
-    Raises:
-        AnalysisError: some of the terms are collinear.
-    """
+    """Return the least-squares coefficients, with each piece weighted by its duration; refuse collinear terms."""
     root = np.sqrt(pieces.seconds)
     weighted = pieces.matrix * root[:, None]
     scale = np.linalg.norm(weighted, axis=0)

@@ -48,10 +48,8 @@ class Linearity:
         if self.p_value >= _CHANCE or self.curvature_W <= _BENT * self.explained_W:
             return None
         p_value = "p < 0.001" if self.p_value < 0.001 else f"p = {self.p_value:.3f}"  # noqa: PLR2004 - as p is written
-        return (
-            f"power is not a weighted sum of these terms: bending the model changes it by {self.curvature_W:.2f} W "
-            f"(root mean square; Ramsey's RESET, {p_value})"
-        )
+        bent = f"bending the model changes it by {self.curvature_W:.2f} W (root mean square; Ramsey's RESET, {p_value})"
+        return f"power is not a weighted sum of these terms: {bent}"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -153,11 +151,14 @@ class LinearModel:
 
     def as_json(self) -> dict[str, Any]:
         """Return the content of a model's file."""
+        fit = asdict(self.report) if self.report else None
+        if fit and self.report and self.report.linearity:
+            fit["linearity"]["doubt"] = self.report.linearity.doubt()
         return {
             "format": FORMAT,
             "coefficients_W": dict(self.coefficients),
             "ranges_percent": {term: list(limits) for term, limits in self.ranges.items()},
-            "fit": _as_document(self.report) if self.report else None,
+            "fit": fit,
         }
 
     @classmethod
@@ -175,13 +176,6 @@ class LinearModel:
         return cls(dict(document["coefficients_W"]), ranges, report)
 
 
-def _as_document(report: FitReport) -> dict[str, Any]:
-    document = asdict(report)
-    if report.linearity is not None:
-        document["linearity"]["doubt"] = report.linearity.doubt()
-    return document
-
-
 def _report_of(document: Mapping[str, Any]) -> FitReport:
     linearity = dict(document.get("linearity") or {})
     linearity.pop("doubt", None)
@@ -193,18 +187,12 @@ def _beyond(term: str, low: float, high: float, values: Iterable[float | None]) 
     margin = _TOLERANCE * (high - low)
     outside = [value for value in known if not low - margin <= value <= high + margin]
     if outside:
-        yield (
-            f"{term} was {min(outside):.0f} to {max(outside):.0f} % for a time, "
-            f"and the power model was fitted on {low:.0f} to {high:.0f} %"
-        )
+        beyond = f"{term} was {min(outside):.0f} to {max(outside):.0f} % for a time"
+        yield f"{beyond}, and the power model was fitted on {low:.0f} to {high:.0f} %"
 
 
 def check_terms(terms: Iterable[str]) -> None:
-    """Refuse unknown terms.
-
-    Raises:
-        PluginError: there is no such term; the message names the nearest one.
-    """
+    """Refuse unknown terms by a `PluginError`, which names the nearest one."""
     for term in terms:
         kind, colon, name = term.partition(":") if isinstance(term, str) else ("", "", "")
         if term not in PLAIN_TERMS and not (kind in _KINDS and colon and name):
@@ -240,11 +228,7 @@ def term_value(term: str, state: RobotState) -> float | None:
 
 
 def read_model(path: Path) -> LinearModel:
-    """Return the model of a file.
-
-    Raises:
-        PluginError: the file cannot be read, or contains no power model.
-    """
+    """Return the model of a file; a `PluginError` says that it cannot be read, or contains no power model."""
     fix = "Name a file that `robot-runner fit-power-model EXPERIMENT --out FILE` has written."
     try:
         return LinearModel.of_json(json.loads(path.read_text(encoding="utf-8")))

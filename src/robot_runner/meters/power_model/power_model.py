@@ -169,9 +169,8 @@ class PowerModel(Profiler):
             from robot_runner.meters.power_model.fitting import fit_model, terms_of  # noqa: PLC0415 - an extra
         except ModuleNotFoundError as error:
             fix = "Install it: pip install 'robot-runner[analysis]'."
-            raise AnalysisError(
-                f"fitting needs {error.name}, which is not installed", where=cls.__name__, fix=fix
-            ) from error
+            problem = f"fitting needs {error.name}, which is not installed"
+            raise AnalysisError(problem, where=cls.__name__, fix=fix) from error
         sources = Sources(utilisation=utilisation, phases=phases, frequency=frequency, network=network, gpu=gpu)
         runs, left_out = read_runs(experiment, power, sources, run_ids)
         chosen = terms_of(runs, sources) if terms is None else terms
@@ -197,12 +196,12 @@ class PowerModel(Profiler):
         names = list(circumstances.listed) or [plugin.name for plugin in circumstances.plugins]
         needed = self._needed(linear).values()
         wanted = [each for each in needed if each is not None and names and each not in names]
-        return [
-            Finding.error(
-                where, f"the model reads the samples of {each!r}, which is not among the plugins", _add(each, names)
-            )
-            for each in wanted
-        ]
+        findings = []
+        for each in wanted:
+            problem = f"the model reads the samples of {each!r}, which is not among the plugins"
+            fix = f"Add it to the plugins. {did_you_mean(each, names, otherwise='')}".rstrip()
+            findings.append(Finding.error(where, problem, fix))
+        return findings
 
     def start_run(self, context: RobotRunnerContext) -> None:
         """Make its values doubtful where those are from which they are computed."""
@@ -229,12 +228,7 @@ class PowerModel(Profiler):
         return {"Energy": None if mean is None else mean * window.duration, "MeanPower": mean}
 
     def _estimate(self, context: RobotRunnerContext, window: Window) -> _Estimate:
-        """Return the power of each piece of a window.
-
-        Raises:
-            AnalysisError: the samples of another plugin are missing or malformed.
-            PluginError: the model cannot be read, or the function returned no power.
-        """
+        """Return the power of each piece of a window; an `AnalysisError` or a `PluginError` says why it is unknown."""
         linear = self._read()
         states = read_states(context.run_path, window, Sources(**self._needed(linear, context.run_path)))
         return _Estimate(states, [self._power(linear, state) for state in states], window)
@@ -288,22 +282,13 @@ class PowerModel(Profiler):
 
 
 def _checked(function: PowerFunction, state: RobotState) -> float | None:
-    """Return the result of a user's function for a state.
-
-    Raises:
-        PluginError: the function raises an exception, or returns no power.
-    """
+    """Return the result of a user's function for a state; a `PluginError` if it raises, or returns no power."""
     where, fix = getattr(function, "__name__", "function"), "Have the function return watts, or None."
     try:
         watts = function(state)
     except Exception as error:
-        raise PluginError(
-            f"the function raised {type(error).__name__}: {error}, given {state}", where=where, fix=fix
-        ) from error
+        problem = f"the function raised {type(error).__name__}: {error}, given {state}"
+        raise PluginError(problem, where=where, fix=fix) from error
     if watts is not None and not (isinstance(watts, int | float) and math.isfinite(watts)):
         raise PluginError(f"the function returned {watts!r}, given {state}", where=where, fix=fix)
     return watts
-
-
-def _add(name: str, names: Sequence[str]) -> str:
-    return f"Add it to the plugins. {did_you_mean(name, names, otherwise='')}".rstrip()

@@ -185,11 +185,10 @@ class _Computer:
         self._gpus = read(sources.gpu, _GPU)
         clocked, sampled = len(self._frequencies.columns), len(self._busy.columns)
         if used and clocked != sampled:
-            raise AnalysisError(
-                f"there are the frequencies of {clocked} cores, and {sampled} cores were sampled",
-                where=str(run_folder / str(sources.frequency) / "samples.csv"),
-                fix="Sample both on the same computer, or leave the frequency out.",
-            )
+            problem = f"there are the frequencies of {clocked} cores, and {sampled} cores were sampled"
+            path = run_folder / str(sources.frequency) / "samples.csv"
+            fix = "Sample both on the same computer, or leave the frequency out."
+            raise AnalysisError(problem, where=str(path), fix=fix)
 
     def edges(self) -> set[float]:
         """Return the times, s, at which something may have changed."""
@@ -240,9 +239,8 @@ def _read_utilisation(path: Path) -> _Sampled:
 def _read(path: Path, wanted: re.Pattern[str]) -> _Sampled:
     columns = [name for name in _table_of(path)[0] if wanted.fullmatch(name)]
     if not columns:
-        raise AnalysisError(
-            f"the file has no column like {wanted.pattern!r}", where=str(path), fix="Name a plugin that samples it."
-        )
+        problem = f"the file has no column like {wanted.pattern!r}"
+        raise AnalysisError(problem, where=str(path), fix="Name a plugin that samples it.")
     times, *numbers = read_numbers(path, ("time_s", *columns))
     return _Sampled(times, numbers)
 
@@ -263,11 +261,7 @@ def read_numbers(path: Path, columns: Sequence[str]) -> list[list[float]]:
 
 
 def _rows_of(path: Path, columns: Sequence[str]) -> list[dict[str, str]]:
-    """Return the rows of a file with these columns.
-
-    Raises:
-        AnalysisError: the file or one of the columns is missing.
-    """
+    """Return the rows of a file with these columns; an `AnalysisError` says that one is missing, or the file."""
     heading, rows = _table_of(path)
     missing = [column for column in columns if column not in heading]
     if missing:
@@ -287,11 +281,6 @@ def _table_of(path: Path) -> tuple[Sequence[str], list[dict[str, str]]]:
 
 
 def _number_of(path: Path, cell: str | None) -> float:
-    """Return a cell as a number.
-
-    Raises:
-        AnalysisError: the cell is not a number.
-    """
     try:
         return float(cell or "")
     except ValueError as error:
