@@ -13,6 +13,7 @@ from tests.conftest import TABLE, written_config
 from robot_runner import AnalysisPlan, Hypothesis
 from robot_runner.analysis import analyse, load_results
 from robot_runner.analysis.figures.style import FigureFormat
+from robot_runner.analysis.journal_frames import read_history
 from robot_runner.analysis.report.material import Material
 from robot_runner.analysis.report.outcome_section import attempt_spans
 from robot_runner.analysis.report.writing import ReportFormat, write_report
@@ -21,6 +22,7 @@ from robot_runner.core.config.preparation import prepare, prepare_or_refuse
 from robot_runner.core.design.extended_design import Additions, NewFactor
 from robot_runner.core.execution.notices import SilentObserver
 from robot_runner.core.execution.orchestrator import execute_experiment
+from robot_runner.core.storage.journal import Journal
 
 MEASURING = """
 def launch_mission(self, context):
@@ -56,6 +58,15 @@ def test_warm_up_runs_are_left_out_everywhere_unless_they_are_asked_for(folder):
     assert len(everything.runs) == 20
     assert list(everything.runs.loc[everything.runs["warm_up"], "Energy"]) == [1000.0] * 4
     assert len(everything.samples("config", runs=["w_1"])) == 2
+
+
+def test_workers_of_runs_that_only_warm_up_are_left_out_with_these(tmp_path):
+    with Journal(tmp_path / "journal.jsonl") as journal:
+        for run in ("w_1", "r_1"):
+            journal.append("attempt_started", run=run, attempt=1, place="node1", slot=0)
+    history = read_history(tmp_path / "journal.jsonl")
+    assert history.without({"w_1"}).attempts.attrs["workers"] == {"r_1": "node1"}
+    assert history.attempts.attrs["workers"] == {"w_1": "node1", "r_1": "node1"}
 
 
 SET_BEFORE_THE_THIRD_RUN = """

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
@@ -213,7 +214,7 @@ def with_declared_design(results: Results, declared: DeclaredDesign, whence: str
 def _unknown(declared: DeclaredDesign, names: Sequence[str], results: Results, where: str) -> Iterator[Finding]:
     for name in declared.names:
         if name in results.measures:
-            fix = f"Import the results again with the design, or with --factor {name}."
+            fix = f"Import the results again with the design, or with --factor {shlex.quote(name)}."
             yield Finding.error(where, f"{name!r} is a measure of these results, and no part of a design", fix)
         elif name not in names:
             yield Finding.error(where, f"there is no column {name!r}", did_you_mean(name, names))

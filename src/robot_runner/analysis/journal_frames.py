@@ -35,7 +35,8 @@ class History:
         attempts: `run_id`, `attempt`, `status` (done, failed, unfinished), `started_at`, `seconds`, `failure`, in the
             order of their beginnings; `attrs["clock_was_set"]` says whether the clock was set, or differs from that of
             another machine, so that times may not tell this order; `attrs["clock_set_by"]` has by how many seconds, in
-            all, before each attempt, by number, by run, and `attrs["clock_set_in"]` by how many in it.
+            all, before each attempt, by number, by run, and `attrs["clock_set_in"]` by how many in it;
+            `attrs["workers"]` names the worker of a cluster, another machine, that executed each run last, by run.
         events: `run_id`, `event`, `at`, `clock_s`, `since_start_s`; of the last attempt at each run.
         published: `run_id`, `measure`, `value`, `owner`, `origin`; of the last attempt at each run.
         doubts: reasons why values are doubtful or missing, by measure, by run; of the last ended attempt at each run.
@@ -67,6 +68,8 @@ class History:
             for name in ("attempts", "events", "published", "odd")
             for frame in [getattr(self, name)]
         }
+        workers = {run: worker for run, worker in self.attempts.attrs["workers"].items() if run not in runs}
+        frames["attempts"].attrs = {**self.attempts.attrs, "workers": workers}
         return replace(self, **frames)
 
 
@@ -140,6 +143,7 @@ class _JournalReader:
         self.events: dict[Attempt, list[tuple[str, str, float | None]]] = defaultdict(list)
         self.windows: dict[Attempt, tuple[float, float]] = {}
         self.uncertainties: dict[Attempt, dict[str, float]] = defaultdict(dict)
+        self.workers: dict[str, str] = {}
         self.readers: dict[str, dict[str, None]] | None = {}
         self.is_any_done = False
         self.odd: list[Mapping[str, Any]] = []
@@ -169,6 +173,9 @@ class _JournalReader:
         self.begun.pop(attempt, None)
         self.begun[attempt] = record["at"]
         self.begun_after[attempt] = self.set_by
+        self.workers.pop(attempt[0], None)
+        if record.get("slot") == 0:
+            self.workers[attempt[0]] = self._interned(str(record.get("place")))
         self._look_at_clock(record["at"])
 
     def take_end(self, record: Mapping[str, Any]) -> None:
@@ -265,6 +272,7 @@ class _JournalReader:
         frame.attrs["clock_was_set"] = self.was_set
         frame.attrs["clock_set_by"] = _by_run(self.begun_after)
         frame.attrs["clock_set_in"] = _by_run(self.set_in)
+        frame.attrs["workers"] = self.workers
         return frame
 
     def _events(self, attempts: Iterable[Attempt], starts: Mapping[str, float]) -> pd.DataFrame:

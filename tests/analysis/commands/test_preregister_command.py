@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from tests.analysis.report.agreement import disagreements
 
+from robot_runner.core.storage.registration import read_registration, write_registration
+
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
@@ -122,6 +124,22 @@ def test_every_deviation_is_listed(robot_runner: Callable[..., Answer], study: P
         assert any(line.startswith(each) for line in told), (each, told)
     assert len(told) == len(expected)
     assert any(each["title"] == "Deviations from the registration" for each in report["threats"])
+
+
+@pytest.mark.long
+def test_a_clock_that_is_behind_the_registration_is_told_before_the_first_run_and_in_the_report(
+    robot_runner: Callable[..., Answer], study: Path, tmp_path: Path
+) -> None:
+    assert robot_runner("preregister", study).code == 0
+    path = tmp_path / "study.registration.json"
+    write_registration(path, {**read_registration(path).content, "registered_at": "2099-01-01T00:00:00.000Z"})
+    executed = robot_runner(study)
+    assert "and the study was registered at 2099-01-01T00:00:00.000Z already" in executed.out + executed.err
+    (told,) = [each for each in report_of(robot_runner, tmp_path)["registration"]["deviations"] if "first run" in each]
+    assert (
+        told
+        == "by its time it was registered after the first run, which had it: a clock was wrong, or a file was edited"
+    )
 
 
 def test_a_registration_is_compared_with_a_config(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import json
+import os
 import sys
 
 import pytest
@@ -159,3 +160,15 @@ def test_a_plan_that_cannot_be_followed_is_refused(robot_runner, experiment, tmp
     assert problem in answer.err
     assert fix in answer.err
     assert "Traceback" not in answer.err
+
+
+@pytest.mark.parametrize(("command", "option"), [("report", "--output"), ("export", "--to")])
+def test_an_experiment_that_cannot_be_written_names_the_option_for_another_place(
+    robot_runner, experiment, monkeypatch, command, option
+):
+    """Others' results, archives and mounted packages are read-only; root, who may be testing, writes everywhere."""
+    is_allowed = os.access
+    monkeypatch.setattr(os, "access", lambda path, mode: not mode & os.W_OK and is_allowed(path, mode))
+    answer = robot_runner(command, "trial")
+    assert answer.code == 2
+    assert answer.err == f"error: trial: the folder cannot be written\n  fix: Write elsewhere: {option} FOLDER.\n"

@@ -200,6 +200,41 @@ def test_names_that_differ_are_told_with_the_option_that_joins_them(lab):
     assert [each.experiment for each in found.measure("Energy").effects[0].experiments] == ["one", "other", "third"]
 
 
+@pytest.mark.parametrize(
+    ("same", "planned"),
+    [
+        (["Aufgabe=Task", "Job=Task"], "Task"),
+        (["Task=Job", "Job=Aufgabe"], "Job"),
+        (["Aufgabe=Job", "Task=Aufgabe", "Task=Job"], "Job"),
+    ],
+)
+def test_three_names_of_one_factor_may_be_joined_in_any_order(lab, same, planned):
+    """The contrast of a plan stays one of the factor that was renamed twice."""
+    plan = {"analysis": json.loads(json.dumps(PLAN).replace("Task", planned))}
+    labs = [lab(TASKS, factor=name, manifest=plan if name == planned else {}) for name in ("Task", "Aufgabe", "Job")]
+    found = meta_analyse(*labs, same=same)
+    assert not found.findings
+    *pairs, contrast = found.measure("Energy").effects
+    assert (len(pairs), contrast.statement) == (3, "Idle needs less than half of both.")
+    assert len(contrast.experiments) == 3
+
+
+def test_options_are_proposed_as_a_shell_takes_them(lab):
+    one, other = lab({"wet tiles": 30, "wood": 20}), lab({"Wet tiles": 30, "wood": 20}, measure="Energy (J)")
+    with pytest.raises(AnalysisError) as refused:
+        meta_analyse(one, other, measures=["Energy"])
+    assert "--measure 'Energy=Energy (J)'." in str(refused.value)
+    told = " ".join(map(str, meta_analyse(one, other, measures=["Energy=Energy (J)"]).findings))
+    assert "--same 'wet tiles=Wet tiles'." in told
+
+
+def test_a_further_name_of_a_measure_that_no_experiment_has_is_told(lab):
+    with pytest.raises(
+        AnalysisError, match=r"no experiment has a measure 'Energy \(kJ\)'.*Did you mean 'Energie \(kJ\)'"
+    ):
+        meta_analyse(lab(TASKS), lab(TASKS, measure="Energie (kJ)"), measures=["Energy=Energy (kJ)"])
+
+
 def test_why_measures_of_yes_and_no_are_not_combined_is_told(make_folder):
     rows = [(task, "True" if run % 3 else "False") for task in ("Video", "Network") for run in range(6)]
     made = {"factors": {"Task": ["Video", "Network"]}, "rows": rows, "measures": {"Success": ""}}
@@ -384,6 +419,11 @@ def test_what_cannot_be_is_refused(lab):
         meta_analyse(lab(TASKS))
     with pytest.raises(AnalysisError, match="alpha"):
         meta_analyse(lab(TASKS), lab(TASKS), alpha=1.0)
+
+
+def test_a_confidence_that_is_given_for_alpha_is_refused(lab):
+    with pytest.raises(AnalysisError, match=r"alpha is 0.95 .*Give a number between 0 and 0.5"):
+        meta_analyse(lab(TASKS), lab(TASKS), alpha=0.95)
 
 
 def test_text_is_not_combined(make_folder):

@@ -444,6 +444,14 @@ def test_answers_have_no_limits_of_agreement_and_are_said_to_be_proportions(tmp_
     assert "Welch" not in page
 
 
+def test_the_option_for_measures_of_other_names_is_quoted_where_a_shell_needs_it(make_folder):
+    rows = [("a", value) for value in (1.0, 1.5, 2.0)]
+    one = make_folder(factors={"T": ["a"]}, rows=rows, measures={"time (s)": "s"}, name="one").root
+    other = make_folder(factors={"T": ["a"]}, rows=rows, measures={"time (ms)": "ms"}, name="other").root
+    with pytest.raises(AnalysisError, match=r"--measure 'time \(s\)=time \(ms\)'\."):
+        compare(one, other)
+
+
 def test_values_some_of_which_are_texts_are_not_compared(make_folder):
     rows = [("a", "3"), ("a", "timeout"), ("a", "5"), ("a", "4")]
     mixed = make_folder(factors={"T": ["a"]}, rows=rows, measures={"Time": "s"}, types={"Time": "any"})

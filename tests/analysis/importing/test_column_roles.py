@@ -18,6 +18,7 @@ from robot_runner.core.errors import AnalysisError
 
 TASK = {"task": ["video", "audio", "idle"]}
 SPEED = {"speed": ["1", "2"]}
+PLANNER = {"planner": ["a", "b"]}
 MODES = TASK | {"mode": ["a", "b"]}
 OUTCOMES = {"rep": "{rep}", "ok": "{truth}", "docked": "{other}"}
 
@@ -333,6 +334,56 @@ SHAPES = {
         + "".join(f"{n // 4},{('video', 'audio')[n % 2 if n < 20 else 0]},{n * 37 % 101 / 7:.4f}\n" for n in range(24)),
         "block=block F=task M=energy",
     ),
+    # Numbers of rows, whatever the language of the heading.
+    "rows that are counted": (
+        made("Versuch,task,speed [m/s],energy", TASK | {"speed [m/s]": ["0.1", "0.2"]}, Versuch="{one}"),
+        "id=Versuch F=task+speed [m/s] M=energy",
+    ),
+    "rows that are counted by repetitions": (
+        made("task,trial,energy", {"task": ["video"]}, 8, trial="{rep}"),
+        "rep=trial F=task M=energy",
+    ),
+    "rows that are counted, beside run ids": (
+        made("__run_id,__done,Lauf,task,energy", TASK, Lauf="{n}", **IDS),
+        "id=__run_id done=__done rep=@ F=task M=energy X=Lauf ?=Lauf",
+    ),
+    # Numbers that grow from row to row are not, where they may be measured or varied.
+    "laps that grow, last": (made("planner,energy_J,laps", PLANNER, 3, laps="{one}"), "F=planner M=energy_J+laps"),
+    "laps that grow, alone": (made("planner,laps", PLANNER, 3, laps="{one}"), "F=planner M=laps"),
+    "laps that grow, first": (made("laps,planner", PLANNER, 3, laps="{one}"), "F=planner M=laps"),
+    "laps that grow, beside run ids": (
+        made("__run_id,__done,planner,laps", PLANNER, 3, laps="{one}", **IDS),
+        "id=__run_id done=__done rep=@ F=planner M=laps",
+    ),
+    "goals that grow, beside names of runs": (
+        made("run_id,planner,goals", PLANNER, 3, run_id="{one}", goals="{one}"),
+        "id=run_id F=planner M=goals",
+    ),
+    "robots that grow, with one run each": (
+        "robots,time_s,energy_J\n" + "".join(f"{n},{n * 37 % 11 / 7:.3f},{n * 53 % 13 / 7:.3f}\n" for n in range(1, 9)),
+        "M=robots+time_s+energy_J",
+    ),
+    "obstacles that grow, with one run each": (
+        "obstacles,energy\n" + "".join(f"{n},{n * 37 % 11 / 7:.3f}\n" for n in range(1, 7)),
+        "M=obstacles+energy",
+    ),
+    "a measure that grows by one": (made("task,depth_m,energy", TASK, depth_m="{one}"), "F=task M=depth_m+energy"),
+    "outcomes that are equally frequent": (
+        "planner,energy_J,success\na,1.5,1\na,2.5,0\nb,3.5,0\nb,4.5,1\n",
+        "F=planner M=energy_J+success",
+    ),
+    "collisions that are equally frequent": (
+        "planner,energy_J,collisions\na,1.5,1\na,2.5,0\nb,3.5,0\nb,4.5,1\n",
+        "F=planner M=energy_J+collisions",
+    ),
+    "outcomes without factors": (
+        "energy_J,success\n" + "".join(f"{n * 37 % 11 / 7:.3f},{n % 2}\n" for n in range(10)),
+        "M=energy_J+success",
+    ),
+    "a factor in a unit, after the measures": (
+        made("energy,speed [m/s],task", {"speed [m/s]": ["0.1", "0.2"]} | TASK),
+        "F=speed [m/s]+task M=energy ?=speed [m/s]",
+    ),
     # What treatments are tried on, as in R's CO2 and nlme's RatPupWeight.
     "plants that each have one treatment": (
         "Plant,Type,conc,uptake\n"
@@ -470,6 +521,17 @@ def test_numbers_that_count_from_1_in_each_combination_may_be_repetitions_in_ano
     assert note.startswith("day is taken for a block")
 
 
+def test_numbered_texts_that_each_combination_has_once_are_asked_about_with_what_settles_it(tmp_path):
+    text = made("Subject,task,energy", {"Subject": ["P 01", "P 02", "P 03"]} | TASK, 1)
+    (guess,) = guessed(tmp_path, text).unsure
+    assert guess.reason == (
+        "its texts are numbered, and each combination has every one once: a repetition (--repetition), or one that "
+        "treatments are compared within (--block)?"
+    )
+    assert guessed(tmp_path, text, block="Subject").unsure == ()
+    assert guessed(tmp_path, text, repetition="Subject").unsure == ()
+
+
 def test_numbers_one_of_which_is_in_words_are_counted_as_well(tmp_path):
     (note,) = guessed(tmp_path, "task,Lauf,energy\na,1,0.5\na,r2,1.5\na,3,2.5\nb,1,3.5\nb,r2,4.5\nb,3,5.5\n").notes
     assert note.startswith("Lauf counts from 1 to 3, and each combination has every number once: repetitions?")
@@ -478,12 +540,30 @@ def test_numbers_one_of_which_is_in_words_are_counted_as_well(tmp_path):
 def test_what_may_be_a_block_is_noted_with_its_option(tmp_path):
     (note,) = guessed(tmp_path, SHAPES["subjects"][0]).notes
     assert note == "subject has every combination for each of its values: a block? Then say --block subject"
+    numbered = SHAPES["three robots"][0].replace("robot,", "Robot No.,")
+    (note,) = guessed(tmp_path, numbered).notes
+    assert note == "Robot No. is taken for a block; if it is a treatment, say --factor 'Robot No.'"
 
 
 def test_a_description_without_guesses_is_complete(tmp_path):
     text = SHAPES["factors after measures"][0]
     roles = guessed(tmp_path, text, factors=("task",), measures=("energy",), guess=False)
     assert summary(roles) == "F=task M=energy X=time_s+mode"
+    counted = made("n_obst,task,energy", TASK, n_obst="{one}")
+    assert summary(guessed(tmp_path, counted, factors=("task",), guess=False)) == "F=task M=n_obst+energy"
+
+
+def test_a_column_that_is_taken_for_ids_as_it_counts_the_rows_is_noted_with_its_options(tmp_path):
+    text = made("payload,planner,energy", PLANNER, 3, payload="{one}")
+    roles = guessed(tmp_path, text)
+    assert summary(roles) == "id=payload F=planner M=energy"
+    (note,) = roles.notes
+    assert note == (
+        "payload counts the rows and is taken for the run's id; if it was varied or measured, say --factor or "
+        "--measure payload"
+    )
+    assert summary(guessed(tmp_path, text, factors=("payload", "planner"))) == "F=payload+planner M=energy"
+    assert summary(guessed(tmp_path, text, measures=("payload", "energy"))) == "F=planner M=payload+energy"
 
 
 def test_a_column_has_one_role(tmp_path):

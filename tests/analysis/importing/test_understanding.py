@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+
 import pytest
 from tests.analysis.importing.foreign_folder import EARLIER_TABLE, make_earlier_folder, write
 
@@ -620,10 +622,38 @@ def test_a_table_that_is_named_itself_is_refused_with_its_folder(tmp_path):
     assert f"--table '{table.name}'" in str(refused.value)
 
 
+def test_a_named_pipe_or_device_in_the_place_of_the_table_is_not_waited_for(tmp_path):
+    os.mkfifo(tmp_path / "run_table.csv")
+    (tmp_path / "runs.csv").symlink_to("/dev/zero")
+    with pytest.raises(StorageError, match="there is no CSV file in the folder"):
+        understand(tmp_path, NOTHING)
+    (tmp_path / "results.csv").write_text("task,energy\na,1.5\nb,2.5\n", encoding="utf-8")
+    assert understand(tmp_path, NOTHING).roles.measures == ("energy",)
+
+
 def test_a_table_of_samples_is_no_run_table(tmp_path, monkeypatch):
     monkeypatch.setattr(foreign_table, "_MOST_RUNS", 1000)
     with pytest.raises(AnalysisError, match="more than 1,000 rows: are they samples rather than runs"):
         table_only(tmp_path, "time,power\n" + "1,2\n" * 1001)
+
+
+@pytest.mark.parametrize(("where", "table"), [("", None), ("", "data.xlsx"), ("data.xlsx", None)])
+def test_a_workbook_is_to_be_saved_as_csv(tmp_path, where, table):
+    (tmp_path / "data.xlsx").write_bytes(b"PK\x03\x04\0\0")
+    with pytest.raises(StorageError, match=r"data\.xlsx: this is a workbook.*Save it as CSV"):
+        understand(tmp_path / where, ImportDescription(table=table))
+
+
+@pytest.mark.parametrize(
+    ("table", "problem"), [("runs.csv", "there is no 'runs.csv' in the folder"), (None, "there is no CSV file")]
+)
+def test_a_workbook_of_something_else_does_not_hide_that_the_table_is_missing(tmp_path, table, problem):
+    (tmp_path / "~$runs.xlsx").write_bytes(b"")
+    (tmp_path / "a.xlsx").mkdir()
+    if table is not None:
+        (tmp_path / "notes.xlsx").write_bytes(b"PK\x03\x04\0\0")
+    with pytest.raises(StorageError, match=problem):
+        understand(tmp_path, ImportDescription(table=table))
 
 
 @pytest.mark.long
@@ -675,6 +705,35 @@ def test_a_table_in_which_nothing_is_taken_for_a_measure_is_noted(tmp_path):
     note = "no column is taken for a measure: nothing can be analysed. Name one with --measure"
     assert note in table_only(tmp_path, f"task,arrived\n{rows}").notes
     assert note not in table_only(tmp_path, f"task,arrived\n{rows}", measures=("arrived",)).notes
+
+
+def test_folders_are_those_of_runs_that_the_table_counts_under_any_heading(tmp_path):
+    for number in range(1, 7):
+        write(tmp_path / "results" / str(number) / "power.csv", "time_s,power_W\n0,1\n2,1\n")
+    found = table_only(tmp_path, "Lauf,task,energy_J\n" + "".join(f"{n},t{n % 2},{n}.5\n" for n in range(1, 7)))
+    assert [run.folder.name for run in found.runs] == [run.run_id for run in found.runs] == [*"123456"]
+    assert [each.file for each in found.samples] == ["power.csv"]
+
+
+@pytest.mark.parametrize("below", ["", "runs"])
+def test_folders_none_of_which_belongs_to_a_run_are_noted(tmp_path, below):
+    for number in range(4):
+        write(tmp_path / "results" / below / f"video {number}" / "power.csv", "time_s,power_W\n0,1\n2,1\n")
+    rows = "".join(f"video {n},t{n % 2},{n}.5\n" for n in range(4))
+    (note,) = table_only(tmp_path, f"what,task,energy_J\n{rows}").notes
+    assert note == (
+        "4 folders with CSV files, such as video 0, belong to no run: name the column that has their names (--run-id "
+        "COLUMN), or say where those of a run are (--run-folder 'raw/{run_id}')"
+    )
+    assert all(run.folder for run in table_only(tmp_path, f"what,task,energy_J\n{rows}", run_id="what").runs)
+
+
+@pytest.mark.parametrize("files", [["plots/a.csv", "docs/a.csv"], ["plots/a.csv", "docs/b.csv", "data/c.csv"]])
+def test_folders_beside_the_runs_are_not_taken_for_those_of_runs(tmp_path, files):
+    for name in files:
+        write(tmp_path / "results" / name, "x,y\n0,1\n2,1\n")
+    rows = "".join(f"video {n},t{n % 2},{n}.5\n" for n in range(3))
+    assert table_only(tmp_path, f"what,task,energy_J\n{rows}").notes == ()
 
 
 def test_files_and_folders_that_do_not_fit_the_table_are_noted(tmp_path):

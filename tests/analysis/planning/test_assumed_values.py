@@ -1,4 +1,4 @@
-"""A file of means says of each combination one thing."""
+"""What is assumed of a study is of its factors and measures, and of nothing else."""
 
 from __future__ import annotations
 
@@ -6,47 +6,16 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from robot_runner.analysis.planning.assumed_values import differences_of, means_file
+from robot_runner.analysis.planning.assumed_values import differences_of
 from robot_runner.analysis.planning.planned_study import Study
 from robot_runner.analysis.planning.power_analysis import Assumptions, scenarios_of
+from robot_runner.core.design.analysis_plan import AnalysisPlan
 from robot_runner.core.design.factor import Factor
 from robot_runner.core.design.run_table_model import RunTableModel
 from robot_runner.core.errors import AnalysisError
 
 if TYPE_CHECKING:
     from pathlib import Path
-
-STUDY = Study.of_model(
-    "study",
-    RunTableModel([Factor("Task", ["Video", "Network"]), Factor("Map", ["lab", "hall"])], repetitions=3),
-    None,
-    {"Energy": "J"},
-)
-
-
-@pytest.mark.parametrize(
-    ("text", "problem"),
-    [
-        ("Task,Energy\nVideo,1\nNetwork,2\nVideo,9\n", "rows 1 and 3 are both of Video"),
-        ("Energy\n1\n9\n", "rows 1 and 2 are both of all combinations"),
-        ("Energy\n", "4 combinations of the design have no row"),
-        ("Task,Energy,Energy.sd\nVideo,1,1\nNetwork,2,-3\n", "Energy.sd of Network x lab, Network x hall is below 0"),
-    ],
-)
-def test_a_file_that_says_two_things_or_nothing_is_refused(tmp_path: Path, text: str, problem: str) -> None:
-    path = tmp_path / "means.csv"
-    path.write_text(text, encoding="utf-8")
-    with pytest.raises(AnalysisError) as refused:
-        means_file(STUDY, path, {"Energy": 1.0})
-    assert problem in refused.value.problem
-
-
-def test_a_row_too_many_names_the_column_that_is_missing(tmp_path: Path) -> None:
-    path = tmp_path / "means.csv"
-    path.write_text("Task,Energy\nVideo,1\nVideo,2\nNetwork,3\n", encoding="utf-8")
-    with pytest.raises(AnalysisError) as refused:
-        means_file(STUDY, path, {"Energy": 1.0})
-    assert refused.value.fix == "Leave one out, or add the column Map."
 
 
 def test_a_difference_of_a_conditional_factor_is_of_the_runs_to_which_it_applies() -> None:
@@ -69,7 +38,7 @@ def test_a_share_beside_a_file_of_means_moves_these_and_keeps_their_differences(
     )
     path = tmp_path / "means.csv"
     path.write_text("Task,Ok,Energy\nVideo,80%,3\nNetwork,90%,4\n", encoding="utf-8")
-    told = Assumptions(means=path, measures=["Ok"], shares=["Ok=50"], spreads=["Energy=1"])
+    told = Assumptions(means=path, measures=["Ok"], shares=["Ok=50"])
     (scenario,) = scenarios_of(study, told)
     assert scenario.measures[0].means == {("Video",): 45, ("Network",): 55}
     with pytest.raises(AnalysisError, match="Energy is a number, and not yes or no"):
@@ -96,3 +65,19 @@ def test_less_than_one_percent_is_a_share_where_it_is_written_so() -> None:
     study = Study.of_model("study", RunTableModel([Factor("Task", ["Video", "Network"])]), None, {"Ok": ""})
     (scenario,) = scenarios_of(study, Assumptions(shares=["0.5%"], differences=["Task=0.2"]))
     assert scenario.measures[0].means == pytest.approx({("Video",): 0.4, ("Network",): 0.6})
+
+
+@pytest.mark.parametrize("option", ["spreads", "shares", "differences", "blocks", "responses"])
+def test_what_is_said_of_a_measure_that_is_not_simulated_is_refused(option: str) -> None:
+    """It would have no effect, and the answer would be of other assumptions than the user has typed."""
+    table = RunTableModel([Factor("Task", ["Video", "Network"])], repetitions=3, blocks="Repetition", shuffle=True)
+    study = Study.of_model("study", table, AnalysisPlan(["Energy"]), {"Energy": "J", "Energie": "J", "CPU": "%"})
+    given = {"spreads": ["Energy=5"], "differences": ["Energy:Task=5"]}
+    said = "{}:Task=5" if option == "differences" else "{}=5"
+    with pytest.raises(AnalysisError) as refused:
+        scenarios_of(study, Assumptions(**(given | {option: [*given.get(option, ()), said.format("CPU")]})))
+    assert refused.value.problem == "CPU is not simulated, only Energy"
+    assert refused.value.fix == "Name all of them (--measure Energy --measure CPU), or leave it out."
+    with pytest.raises(AnalysisError) as refused:
+        scenarios_of(study, Assumptions(**(given | {option: [*given.get(option, ()), said.format("Energie")]})))
+    assert refused.value.fix == "Did you mean 'Energy'?"

@@ -144,6 +144,36 @@ def test_software_that_imported_results_is_not_told_as_that_of_the_experiment(tw
         assert (("Machine", "not recorded: the runs were executed elsewhere") in facts.rows) is (origin == "imported")
 
 
+def test_the_machine_is_not_told_to_have_executed_what_workers_of_a_cluster_have(two_tasks):
+    stamps = {"started_at": "2026-01-31T12:00:00.000Z"}
+    folder = two_tasks(manifest={"executions": [stamps, {**stamps, "changed": {}}]})
+    with Journal(folder.files.journal) as journal:
+        for run, place in (("r_1", {"place": "node2", "slot": 0}), ("r_2", {"place": "node1", "slot": 0}), ("r_3", {})):
+            journal.append("attempt_started", at="2026-01-31T13:00:00.000Z", run=run, attempt=2, **place)
+    (part,) = [part for part in document(folder).blocks() if isinstance(part, Part) and part.name == "design-machine"]
+    assert "circumstances may have changed between them" in threats(folder)["Executed in parts"].text
+    told = "2 runs on workers of a cluster, whose machines are not recorded: node1, node2"
+    assert ("Machine", f"described here is the one that directed {told}") in part.blocks[0].rows
+
+
+def test_a_clock_that_was_set_back_between_or_in_executions_is_told_beside_their_times(two_tasks):
+    first, second, third = ({"started_at": f"2026-01-31T{hour}:00:00.000Z"} for hour in (12, 13, 14))
+    ended_earlier = {**third, "finished_at": first["started_at"]}
+    to_the_second, half_later = {"started_at": "2026-01-31T12:00:00Z"}, {"started_at": "2026-01-31T12:00:00.500Z"}
+    elsewhere = {"started_at": "2026-01-31T13:30:00+01:00"}
+    set_back = "; the stamps go back: a clock was set, or another machine's differs"
+    for executions, told in (
+        ([first, second], "2026-01-31 12:00:00 UTC, and was not ended, in 2 executions"),
+        ([second, first], f"2026-01-31 13:00:00 UTC, and was not ended, in 2 executions{set_back}"),
+        ([to_the_second, half_later], "2026-01-31 12:00:00 UTC, and was not ended, in 2 executions"),
+        ([elsewhere, second], ", and was not ended, in 2 executions"),
+        ([ended_earlier], f"2026-01-31 14:00:00 UTC to 2026-01-31 12:00:00 UTC{set_back}"),
+    ):
+        text = markdown_of(document(two_tasks(manifest={"executions": executions})), str)
+        assert told in text
+        assert (set_back in text) is (set_back in told)
+
+
 def test_what_was_set_by_hand_is_a_threat(two_tasks):
     found = threats(two_tasks(manifest={"deviations": {"robot": "simulated"}}))
     assert "robot = simulated" in found["Parameters were set by hand"].text

@@ -101,6 +101,18 @@ def test_a_split_plot_that_lost_runs_is_still_adjusted_for_its_replicates_and_co
     assert [each.statistic for each in added] == pytest.approx([each.statistic for each in apart])
 
 
+def test_a_covariate_that_tells_the_treatment_is_named_among_what_cannot_be_told_apart():
+    """As the place in the order does, where each whole plot has its treatments in the same order."""
+    names, facts, rows, values = made_tables()["split_plot_in_replicates"]
+    easy = names.index("Easy")
+    places = {treatment: place for place, treatment in enumerate(dict.fromkeys(row[easy] for row in rows))}
+    lines = [[*row, value, places[row[easy]]] for row, value in zip(rows, values, strict=True)]
+    plan = AnalysisPlan(measures=["y"], covariates=["U"])
+    found = analyse(designed(lines, names, facts, ["y", "U"], plan)).measure("y")
+    (why,) = [each.why for each in found.not_computed if each.what == "the test"]
+    assert why == "factors, blocks and covariates go together so closely that effects cannot be told apart."
+
+
 @pytest.mark.long
 def test_rows_and_columns_of_a_latin_square_are_taken_out():
     # Table 4.12: the formulation, SS 330 of 4, error 128 of 12.

@@ -22,7 +22,7 @@ from robot_runner.analysis.statistics.effect_sizes import (
     omega_squared,
 )
 from robot_runner.analysis.statistics.tested import NotComputed, TestMethod
-from robot_runner.analysis.statistics.tests import levels_of, planned_model_of
+from robot_runner.analysis.statistics.tests import planned_model_of
 from robot_runner.core.design.analysis_plan import AnalysisPlan, Estimand
 from robot_runner.core.design.factor import Factor
 from robot_runner.designs import Crossover, SplitPlot
@@ -255,7 +255,7 @@ def simulated(name: str, size: float) -> Iterator[AnyModel]:
 def test_the_interval_of_d_holds_as_often_as_it_says(name: str) -> None:
     factor, covered = KNOWN_OTHERWISE[name][1], []
     for model in simulated(name, 3.0):
-        first, second = levels_of(model)[factor][:2]
+        first, second = model.factors[factor][:2]
         found = model.difference([({factor: first}, 1.0), ({factor: second}, -1.0)])
         estimate, error, freedom = map(float, found)
         size = cohens_d(estimate, error, freedom, float(model.spread), model.spread_parts)
@@ -272,7 +272,7 @@ def test_the_interval_of_omega_squared_holds_as_often_as_it_says(name: str) -> N
     factor, covered = KNOWN_OTHERWISE[name][1], []
     for model in simulated(name, 2.0):
         effect = next(each for each in model.effects() if each.factors == (factor,))
-        rest, count = float(effect.freedom[-1]), len(levels_of(model)[factor])
+        rest, count = float(effect.freedom[-1]), len(model.factors[factor])
         freedom = (1.0 if len(effect.freedom) == 1 else float(effect.freedom[0]), rest)
         f_value, p_value = f_of_p_value(float(effect.p_value), freedom), float(effect.p_value)
         of_runs = (float(effect.variance), float(model.spread), model.spread_parts)

@@ -17,7 +17,7 @@ from tests.analysis.statistics.designed_data import designed
 from robot_runner.analysis import analyse, load_results
 from robot_runner.analysis.statistics.disclosed import Reason
 from robot_runner.analysis.statistics.grouped_runs import Group
-from robot_runner.analysis.statistics.proportions import QUANTITY, Strata, _proportion
+from robot_runner.analysis.statistics.proportions import QUANTITY, Strata, _proportion, _statistics_drawn
 from robot_runner.analysis.statistics.tested import TestMethod
 from robot_runner.core.design.analysis_plan import AnalysisPlan, Estimand, Hypothesis
 from robot_runner.core.design.factor import Factor
@@ -584,3 +584,14 @@ def test_the_shares_of_a_split_plot_that_lost_a_run_are_compared() -> None:
     assert test is not None
     assert "each block with a random mean" in test.reason
     assert all(each.p_value is not None for each in test.effects)
+
+
+def test_tables_with_the_same_margins_are_compared_with_the_same_random_tables() -> None:
+    """`power` tests thousands of simulated experiments with few different margins."""
+    runs = np.array([[7, 8, 9], [4, 4, 4]])
+    uneven, even = np.array([[7, 3, 1], [2, 1, 0]]), np.array([[3, 4, 4], [1, 1, 1]])
+    _statistics_drawn.cache_clear()
+    p_values = [Strata(runs, yes).p_value(999) for yes in (uneven, even)]
+    assert p_values[0] < 0.02
+    assert p_values[1] > 0.5
+    assert _statistics_drawn.cache_info().misses == 1

@@ -11,7 +11,7 @@ from pathlib import Path
 from robot_runner.analysis.libraries import require_libraries
 from robot_runner.cli.console import output, print_facts, print_json, shown_path
 from robot_runner.cli.parser import Parser, add_json, add_set, add_target
-from robot_runner.cli.target import target_or_only
+from robot_runner.cli.target import refuse_unwritable, target_or_only
 
 
 def add_arguments(parser: Parser) -> None:
@@ -33,7 +33,10 @@ def execute(arguments: Namespace) -> int:
     require_libraries()
     from robot_runner.analysis.results import load_results  # noqa: PLC0415 - takes a second to import
 
-    results = load_results(target_or_only("export", arguments.target, arguments.set).root)
+    folder = target_or_only("export", arguments.target, arguments.set).root
+    if not arguments.to:
+        refuse_unwritable(folder / "export", "--to")
+    results = load_results(folder)
     target = Path(arguments.to) if arguments.to else None
     files = results.export(target, for_spreadsheets=arguments.spreadsheets)
     if arguments.json:

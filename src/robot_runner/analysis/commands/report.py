@@ -19,7 +19,7 @@ from robot_runner.cli.console import complaints, output, print_facts, shown_path
 from robot_runner.cli.findings import print_findings
 from robot_runner.cli.parser import Parser, UsageError, add_set, add_target
 from robot_runner.cli.screens.progress_bars import step_progress
-from robot_runner.cli.target import target_or_only
+from robot_runner.cli.target import refuse_unwritable, target_or_only
 from robot_runner.core.errors import Finding, did_you_mean
 from robot_runner.core.words import counted
 
@@ -72,7 +72,9 @@ def execute(arguments: Namespace) -> int:
     require_libraries()
     kind = _one_of(_FORMATS, arguments.format, "--format")
     figures = _figures(arguments.figures)
-    folder = target_or_only("report", arguments.target, arguments.set).root
+    folder = target_or_only("report", arguments.target, arguments.set)
+    if not arguments.output:
+        refuse_unwritable(folder.report, "--output")
     from robot_runner.analysis.recomputing.recomputations import (  # noqa: PLC0415 - slow, and an extra
         Recomputation,
         write_recomputations,
@@ -80,7 +82,7 @@ def execute(arguments: Namespace) -> int:
     from robot_runner.analysis.report.writing import ReportFormat, write_report  # noqa: PLC0415 - as above
     from robot_runner.analysis.results import load_results  # noqa: PLC0415 - as above
 
-    results = load_results(folder)
+    results = load_results(folder.root)
     given = read_plan(Path(arguments.plan).expanduser()) if arguments.plan else PlanFile(None, None)
     if given.design is not None:
         results = with_declared_design(results, given.design, shown_path(Path(arguments.plan)))

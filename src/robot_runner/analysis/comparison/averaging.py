@@ -9,7 +9,7 @@ from itertools import combinations
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from scipy import special, stats
+from scipy import special
 
 from robot_runner.analysis.comparison.combined import (
     CombinedEffect,
@@ -39,8 +39,8 @@ from robot_runner.analysis.statistics.cell_moments import freedom_of
 from robot_runner.analysis.statistics.descriptive import out_of_range, quiet
 from robot_runner.analysis.statistics.experiment_statistics import SEARCHED
 from robot_runner.analysis.statistics.lost_runs import failures_in_words
-from robot_runner.analysis.statistics.post_hoc import adjusted
-from robot_runner.analysis.statistics.tested import Interval, NotComputed
+from robot_runner.analysis.statistics.post_hoc import adjusted_known
+from robot_runner.analysis.statistics.tested import NotComputed
 from robot_runner.analysis.statistics.tests import AnyModel, planned_model_of
 from robot_runner.core.design.analysis_plan import Correction, Estimand
 from robot_runner.core.design.outliers import Doubtful
@@ -74,7 +74,7 @@ def meta_analyse(
         experiments: at least two experiments, or their folders.
         measures: names, or `one=other` where names differ between experiments; None for the primary measures of the
             experiments' plans or, without any, all numeric measures of at least two experiments.
-        alpha: the level of significance.
+        alpha: the level of significance, below 0.5.
         same: factors and treatments whose names differ between experiments, each as `name=other`.
 
     Example:
@@ -86,8 +86,8 @@ def meta_analyse(
         AnalysisError: the experiments cannot be combined: one is given twice, or is a copy of another; there is no such
             measure, or units cannot be converted; `findings` lists all problems.
     """
-    if not 0 < alpha < 1:
-        raise AnalysisError(f"alpha is {alpha!r}", where="meta_analyse", fix="Give a number between 0 and 1.")
+    if not 0 < alpha < 0.5:  # noqa: PLR2004 - what is above is meant as a confidence
+        raise AnalysisError(f"alpha is {alpha!r}", where="meta_analyse", fix="Give a number between 0 and 0.5.")
     results = list(map(results_of, experiments))
     if len(results) < _FEWEST:
         raise AnalysisError(f"{len(results)} experiment is given", where="meta_analyse", fix="Give two and more.")
@@ -246,7 +246,6 @@ def _answer(question: _Question, of: _Estimated, alpha: float, average: float | 
     estimate, error, freedom, spread = (float(each) for each in (*found, of.model.spread))
     if not (error > 0 and freedom > 0 and math.isfinite(freedom) and spread > 0):
         return None
-    reach = error * float(stats.t.ppf(1 - alpha / 2, freedom))
     own = freedom_of(of.model.spread_parts) if of.model.spread_parts else freedom
     is_alone = of.data.known.is_plain and not of.data.is_blocked
     g, g_error = hedges_g(estimate, error, own, spread, average if is_alone else None)
@@ -256,7 +255,7 @@ def _answer(question: _Question, of: _Estimated, alpha: float, average: float | 
         estimate,
         error,
         freedom,
-        Interval(estimate - reach, estimate + reach, 1 - alpha, "t distribution"),
+        found.interval(alpha),
         float(found.p_value),
         g,
         g_error,
@@ -272,17 +271,9 @@ def hedges_g(
 
     The difference is divided by the same standard deviation as in the report, and corrected for bias; the variance is
     unbiased, too (Hedges, Distribution theory for Glass's estimator of effect size and related estimators, Journal of
-    Educational Statistics 6, 1981).
-
-    Args:
-        difference: of means.
-        error: its standard error.
-        freedom: the degrees of freedom of the standard deviation.
-        spread: the standard deviation.
-        average: the g at which the variance is computed; None for the own g.
-
-    Returns:
-        Both; None and None for a single degree of freedom, where g has no mean.
+    Educational Statistics 6, 1981). The error is that of the difference, and the degrees of freedom are those of the
+    standard deviation `spread`. The variance is computed at the average g; with None at the own one. Both are None for
+    a single degree of freedom, where g has no mean.
     """
     if freedom <= 1:
         return None, None
@@ -307,9 +298,7 @@ def _averaged(question: _Question, told: Sequence[EffectIn], alpha: float) -> Co
 
 def _judged(effects: Sequence[CombinedEffect], choice: MeasureChoice, alpha: float) -> Iterator[CombinedEffect]:
     """Yield the effects with adjusted p-values and conclusions."""
-    p_values = [each.difference.random.p_value for each in effects]
-    after = iter(adjusted([each for each in p_values if each is not None], Correction.HOLM))
-    for each in effects:
-        p_value = None if each.difference.random.p_value is None else next(after)
+    after = adjusted_known((each.difference.random.p_value for each in effects), Correction.HOLM)
+    for each, p_value in zip(effects, after, strict=True):
         judged = replace(each, adjusted_p_value=p_value, is_significant=None if p_value is None else p_value < alpha)
         yield replace(judged, conclusion=conclusion_of_effect(judged, choice.name, choice.unit, alpha))

@@ -22,6 +22,7 @@ import numpy as np
 from scipy import optimize, stats
 
 from robot_runner.analysis.arrays import Floats
+from robot_runner.analysis.statistics.contrasts import Contrast
 from robot_runner.analysis.statistics.tested import Interval, NotComputed
 from robot_runner.analysis.wording import labelled
 
@@ -122,7 +123,6 @@ class CombinedEffect:
     """A difference of two treatments, or a contrast of several, over all experiments.
 
     Attributes:
-        factor: the factor of the compared treatments.
         weights: the weight of each treatment's mean.
         statement: the hypothesis of a plan that names the contrast; empty for a pair.
         experiments: the estimates of the experiments that have the effect.
@@ -130,7 +130,6 @@ class CombinedEffect:
         standardised: Hedges' g; None where an experiment has none.
         adjusted_p_value: of the random-effects average, adjusted by Holm for the number of effects on this measure.
         is_significant: whether `adjusted_p_value` is below alpha; None where there is none.
-        conclusion: the result in plain sentences.
     """
 
     factor: str
@@ -164,7 +163,6 @@ class CombinedMeasure:
         origins: where the values come from, by experiment.
         is_primary: whether a plan names it among its primary measures.
         effects: one for each pair of treatments of each factor, then contrasts of hypotheses.
-        not_computed: what could not be combined, with the reason.
     """
 
     name: str
@@ -187,7 +185,6 @@ class MetaAnalysis:
 
     Attributes:
         experiments: in the given order.
-        alpha: the level of significance.
         factors: the factors that at least two experiments vary.
         differing: circumstances that differ: the circumstance, then its value in each experiment.
         findings: notes on the matching for readers: names that differ, units that were converted.
@@ -223,13 +220,8 @@ def combine(estimates: Sequence[float], errors: Sequence[float], freedom: Sequen
     Hartung, Knapp, Sidik and Jonkman. The common effect assumes one effect in all experiments; its standard error is
     Meier's, because the weights are estimated, too. `combine_effects` of statsmodels gives the same results. It is not
     used because the variance between experiments is a root that its interval needs as well, and because its iteration,
-    if it is to be more exact than by default, ends at 0 in one of eight cases.
-
-    Args:
-        estimates: one for each experiment.
-        errors: their standard errors, above 0.
-        freedom: the degrees of freedom of the errors; infinite where they are known.
-        alpha: the level of significance.
+    if it is to be more exact than by default, ends at 0 in one of eight cases. Errors are above 0; their degrees of
+    freedom are infinite where they are known.
     """
     values, variances, freedoms = np.array(estimates), np.square(errors), np.array(freedom)
     spread = _Spread(values, variances)
@@ -277,9 +269,8 @@ class _Spread(NamedTuple):
 def _pooled(estimate: float, error: float, freedom: float, alpha: float) -> Pooled:
     if not error > 0:
         return Pooled(estimate, error, freedom, None, None)
-    reach = error * float(stats.t.ppf(1 - alpha / 2, freedom))
-    interval = Interval(estimate - reach, estimate + reach, 1 - alpha, "t distribution")
-    return Pooled(estimate, error, freedom, interval, float(2 * stats.t.sf(abs(estimate) / error, freedom)))
+    found = Contrast(*map(np.asarray, (estimate, error, freedom)))
+    return Pooled(estimate, error, freedom, found.interval(alpha), float(found.p_value))
 
 
 def _heterogeneity(spread: _Spread, freedoms: Floats, tau_squared: float, alpha: float) -> Heterogeneity:

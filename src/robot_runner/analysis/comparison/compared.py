@@ -281,9 +281,7 @@ class MeasureComparison:
         first_name, second_name: its name in each experiment.
         unit: its unit in the first experiment.
         first_origin, second_origin: where the values come from.
-        bound: as stated.
         region: of practical equivalence, as stated, in the unit of the measure.
-        differences: one for each combination.
         verdict: of all combinations together.
         not_computed: what could not be compared, with the reason.
         are_answers: whether its values are yes or no in both experiments, so that its means are proportions.
@@ -323,9 +321,7 @@ class Comparison:
     """Two experiments compared.
 
     Attributes:
-        alpha: the level of significance.
         factors: the factors of both, by which runs are matched.
-        measures: the comparison of each measure.
         differing: circumstances that differ: the circumstance, its value in the first and in the second.
         notes: notes for readers, such as combinations that only one experiment has.
         together: the units, such as days, whose runs count together.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -58,7 +59,7 @@ from robot_runner.analysis.comparison.matching import (
 from robot_runner.analysis.comparison.shared_units import Units, estimate_of
 from robot_runner.analysis.results import Results, results_of
 from robot_runner.analysis.statistics.experiment_statistics import SEARCHED
-from robot_runner.analysis.statistics.post_hoc import adjusted
+from robot_runner.analysis.statistics.post_hoc import adjusted_known
 from robot_runner.analysis.statistics.tested import NotComputed
 from robot_runner.analysis.wording import listed, sentence, shown_level, shown_number
 from robot_runner.core.design.analysis_plan import Correction
@@ -306,33 +307,26 @@ def _tested(treatments: Mapping[str, str], values: MatchedValues, asked: _Asked)
     )
     if asked.obstacle:
         return replace(described, not_computed=asked.obstacle)
+    practical = None
     if asked.are_proportions and size is not None:
         if why := units.why_unknown:
             return replace(described, not_computed=why)
-        told = proportion_test(first, second, alpha=alpha, units=units)
-        return replace(
-            described,
-            interval=told.interval,
-            narrow_interval=told.narrow,
-            p_value=told.p_value,
-            equivalence_p_value=equivalent_proportions(first, second, bound, units=units)
-            if bound and described.bound
-            else None,
-        )
-    if why := why_not_testable(first, second, is_paired=is_paired, units=units):
+        test = proportion_test(first, second, alpha=alpha, units=units)
+        equivalence = partial(equivalent_proportions, units=units)
+    elif why := why_not_testable(first, second, is_paired=is_paired, units=units):
         return _untested(described, why, first, second, asked)
-    test, pair = difference_test(first, second, alpha=alpha, is_paired=is_paired, units=units), (first, second)
+    else:
+        test = difference_test(first, second, alpha=alpha, is_paired=is_paired, units=units)
+        equivalence = partial(equivalence_p_value, is_paired=is_paired, units=units)
+        if region:
+            practical = practical_equivalence(first, second, region, alpha=alpha, is_paired=is_paired, units=units)
     return replace(
         described,
         interval=test.interval,
         narrow_interval=test.narrow,
         p_value=test.p_value,
-        equivalence_p_value=equivalence_p_value(*pair, bound, is_paired=is_paired, units=units)
-        if bound and described.bound
-        else None,
-        practical=practical_equivalence(*pair, region, alpha=alpha, is_paired=is_paired, units=units)
-        if region
-        else None,
+        equivalence_p_value=equivalence(first, second, bound) if bound and described.bound else None,
+        practical=practical,
     )
 
 
@@ -362,9 +356,8 @@ def _facts_of(units: Units, first: Floats, second: Floats) -> dict[str, Any]:
 
 
 def _adjusted(differences: Sequence[Difference]) -> list[Difference]:
-    p_values = [each.p_value for each in differences if each.p_value is not None]
-    holm = iter(adjusted(p_values, Correction.HOLM))
-    return [each if each.p_value is None else replace(each, adjusted_p_value=next(holm)) for each in differences]
+    holm = adjusted_known((each.p_value for each in differences), Correction.HOLM)
+    return [replace(each, adjusted_p_value=value) for each, value in zip(differences, holm, strict=True)]
 
 
 def _judged(difference: Difference, alpha: float) -> Difference:

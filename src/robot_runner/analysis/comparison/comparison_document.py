@@ -91,14 +91,14 @@ def conclusion_of(measure: MeasureComparison) -> str:
 
 def _practical(measure: MeasureComparison) -> str:
     """Return the probability that a difference does not matter, for the combination where it is smallest."""
-    known = [each for each in measure.differences if each.practical is not None]
+    known = [(each.practical.within, each.label) for each in measure.differences if each.practical is not None]
     if measure.region is None or not known:
         return ""
-    least = min(known, key=lambda each: each.practical.within if each.practical else 1.0)
-    where = f" (least of all combinations: {least.label})" if len(known) > 1 else ""
-    share = shown_probability(least.practical.within if least.practical else None)
+    share, label = min(known, key=itemgetter(0))
+    where = f" (least of all combinations: {label})" if len(known) > 1 else ""
     region = _shown_bound(measure.region, measure.unit)
-    return f" With the reference prior, the probability that the difference is within {region} is {share}{where}."
+    told = f"the probability that the difference is within {region} is {shown_probability(share)}{where}"
+    return f" With the reference prior, {told}."
 
 
 def shown_probability(value: float | None) -> str:

@@ -131,53 +131,37 @@ _SPREAD = 1.96
 
 
 def agreement_of(
-    groups: Mapping[str, tuple[Floats, Floats]],
-    *,
-    is_paired: bool,
-    has_limits: bool = True,
-    has_shares: bool = True,
+    groups: Mapping[str, tuple[Floats, Floats]], *, is_paired: bool, has_limits: bool = True, has_shares: bool = True
 ) -> Agreement | None:
     """Return relative error and limits of agreement, or None where there is no pair.
 
-    Args:
-        groups: the values of the first and the second experiment, by combination; pairs have the same order.
-        is_paired: whether values are pairs; otherwise values of one combination are paired in their order.
-        has_limits: whether differences can be normal, as the limits assume; differences of yes and no cannot.
-        has_shares: whether a percentage of a value is meaningful, as it is not in degC.
+    The values of both experiments are by combination; unless they are pairs, those of one combination are paired in
+    their order. Limits assume that differences can be normal, as those of yes and no cannot, and the error that a
+    percentage of a value is meaningful, as it is not in degC.
     """
+    both = {label: values for label, values in groups.items() if all(map(len, values))}
     pairs = {
         label: [(float(one), float(other)) for one, other in zip(first, second, strict=False)]
-        for label, (first, second) in groups.items()
-        if len(first) and len(second)
+        for label, (first, second) in both.items()
     }
-    differences = np.array([other - one for several in pairs.values() for one, other in several])
-    if not len(differences):
+    every = [pair for several in pairs.values() for pair in several]
+    if not every:
         return None
     # Of experiments of different sizes, some runs are in no pair, and still tell where the mean lies.
-    means = [
-        math.fsum((*second / len(second), *-first / len(first)))
-        for first, second in groups.values()
-        if len(first) * len(second)
-    ]
+    means = [math.fsum((*second / len(second), *-first / len(first))) for first, second in both.values()]
     bias = float(np.average(means, weights=[len(several) for several in pairs.values()]))
     if abs(bias) <= _LAST_PLACES * max(float(np.abs(each).max()) for of in groups.values() for each in of if len(each)):
         bias = 0.0
-    spread = spread_of(differences) if has_limits else None
+    spread = spread_of(np.array([other - one for one, other in every])) if has_limits else None
     reach = None if spread is None else spread * _SPREAD
-    references = (
-        [pair for several in pairs.values() for pair in several]
-        if is_paired
-        else [
-            (float(first.mean()), float(second.mean())) for first, second in groups.values() if len(first) * len(second)
-        ]
-    )
+    of_means = [(float(first.mean()), float(second.mean())) for first, second in both.values()]
     return Agreement(
         pairs,
         are_natural=is_paired,
         bias=bias,
         lower=None if reach is None else bias - reach,
         upper=None if reach is None else bias + reach,
-        error=_error(references) if has_shares else None,
+        error=_error(every if is_paired else of_means) if has_shares else None,
     )
 
 
@@ -282,8 +266,7 @@ def _of_pairs(first: Floats, second: Floats, bound: Bound, alpha: float, units: 
     lower, upper, difference = (_difference(edge, second, is_paired=True, units=units) for edge in edges)
     if not min(lower.variance, upper.variance, difference.variance) > 0:
         return None
-    ends = difference.interval(1 - alpha, "posterior (t)")
-    return _result(first, bound, lower.below(0.0), upper.above(0.0), ends)
+    return _result(first, bound, lower.below(0.0), upper.above(0.0), difference.interval(1 - alpha, "posterior (t)"))
 
 
 def _edges(first: Floats, bound: Bound) -> list[Floats]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations
@@ -37,7 +38,6 @@ class Experiment:
     """One of several experiments, with the common names of factors and treatments.
 
     Attributes:
-        name: its name among the experiments.
         design: the renamed design of its runs that are done, with the blocks and covariates of its own plan.
         doubtful: the runs whose value is doubtful, by measure.
         new_names: the common names of factors and treatments, by their own names, where they differ.
@@ -86,7 +86,8 @@ class Experiment:
         }
         known = design.known.with_name(old, new)
         design = replace(design, frame=frame, factors=factors, constant=constant, known=known, conditions=conditions)
-        return replace(self, design=design, new_names={**self.new_names, old: new})
+        renamed = {own: new if name == old else name for own, name in self.new_names.items()}
+        return replace(self, design=design, new_names={**renamed, old: new})
 
     def left_out(self, column: str) -> tuple[str, ...]:
         """Return the runs whose value of a measure is left out by the experiment's own plan."""
@@ -186,9 +187,16 @@ def renamed(
 ) -> tuple[tuple[Experiment, ...], tuple[Finding, ...]]:
     """Return the experiments with the user's names, each given as `NAME=OTHER`, and findings on these names."""
     findings: list[Finding] = []
+    new_names: dict[str, str] = {}
     for text in same:
         known = {each for experiment in experiments for names in _kinds(experiment) for each in names}
         name, equals, other = text.partition("=")
+        while name in new_names:
+            name = new_names[name]
+        while other in new_names:
+            other = new_names[other]
+        if name == other and equals:
+            continue
         if not equals or other not in known:
             problem = (
                 f"no experiment has a factor or a treatment {other!r}"
@@ -199,12 +207,15 @@ def renamed(
             findings.append(Finding.error("--same", problem, fix))
             continue
         findings += [
-            Finding.error(each.name, f"the experiment has both {name!r} and {other!r}", f"Leave out --same {text}.")
+            Finding.error(
+                each.name, f"the experiment has both {name!r} and {other!r}", f"Leave out --same {shlex.quote(text)}."
+            )
             for each in experiments
             if any({name, other} <= set(names) for names in _kinds(each))
         ]
         if not findings:
             experiments = [each.with_name(other, name) for each in experiments]
+            new_names[other] = name
     return tuple(experiments), tuple(findings)
 
 
@@ -240,7 +251,7 @@ def _differing_treatments(experiment: Experiment, others: Sequence[Experiment], 
 def _same(name: str, candidates: Sequence[str]) -> str:
     whole = name.removesuffix(".0")  # a number may be written as 1 or as 1.0
     near = next((each for each in candidates if each.removesuffix(".0") == whole), None) or nearest(name, candidates)
-    return "" if near is None else f"If {near!r} is the same, say so: --same {name}={near}."
+    return "" if near is None else f"If {near!r} is the same, say so: --same {shlex.quote(f'{name}={near}')}."
 
 
 # Measures and their units.
@@ -267,10 +278,8 @@ def chosen_measures_of_all(
 ) -> tuple[tuple[MeasureChoice, ...], tuple[Finding, ...]]:
     """Return the measures to combine, and findings on those that experiments lack.
 
-    Args:
-        experiments: all of them.
-        wanted: names, or `one=other` where names differ between experiments; None for the primary measures of the plans
-            or, without any, all numeric measures of at least two experiments.
+    Wanted are names, or `one=other` where names differ between experiments; None for the primary measures of the plans
+    or, without any, all numeric measures of at least two experiments.
     """
     texts = list(wanted) if wanted is not None else _planned(experiments) or _shared(experiments)
     chosen, findings = [], []
@@ -296,9 +305,11 @@ def chosen_measures_of_all(
 
 def _lacking(names: Sequence[str], columns: Mapping[str, str], experiments: Sequence[Experiment]) -> Iterator[Finding]:
     """Yield findings on experiments without a measure: an error where fewer than two have it."""
-    if not columns:
-        known = dict.fromkeys(name for each in experiments for name in each.results.measures)
-        yield Finding.error("--measure", f"no experiment has a measure {names[0]!r}", did_you_mean(names[0], known))
+    known = dict.fromkeys(name for each in experiments for name in each.results.measures)
+    told = names[1:] if columns else names  # the first may be a new name
+    if unknown := [name for name in told if name not in known]:
+        for name in unknown:
+            yield Finding.error("--measure", f"no experiment has a measure {name!r}", did_you_mean(name, known))
         return
     make = Finding.warning if len(columns) >= _PAIR else Finding.error
     for each in experiments:
@@ -318,7 +329,9 @@ def _shared(experiments: Sequence[Experiment]) -> list[str]:
 
 def _call(names: Sequence[str], results: Results) -> str:
     near = nearest(names[0], results.measures)
-    return "" if near is None else f"If {near!r} is the same, say so: --measure {'='.join((*names, near))}."
+    return (
+        "" if near is None else f"If {near!r} is the same, say so: --measure {shlex.quote('='.join((*names, near)))}."
+    )
 
 
 def value_findings(choice: MeasureChoice, experiments: Sequence[Experiment]) -> Iterator[Finding]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -124,7 +125,7 @@ def chosen_measures(first: Results, second: Results, wanted: str | Sequence[str]
         shared = [(name, name) for name in first.measures if name in second.measures]
         if not shared:
             ours, theirs = next(iter(first.measures), "A"), next(iter(second.measures), "B")
-            fix = f"Say which to compare: --measure {ours}={theirs}."
+            fix = f"Say which to compare: --measure {shlex.quote(f'{ours}={theirs}')}."
             raise AnalysisError("the experiments have no measure of one name", where=second.name, fix=fix)
         # A measure that is text in both, such as the robot's name, would make the common verdict undecided.
         return [each for each in shared if not all(map(are_texts, (first, second), each))] or shared
@@ -143,7 +144,8 @@ def notes_on_left_out(
         f"Only {name} has {listed(each)}, not compared." for name, each in zip(called, own, strict=True) if each
     )
     if all(own):
-        yield f"If measures of other names are the same, say so: --measure {own[0][0]}={own[1][0]}."
+        pair = shlex.quote(f"{own[0][0]}={own[1][0]}")
+        yield f"If measures of other names are the same, say so: --measure {pair}."
 
 
 def _named(first: Results, second: Results, text: str) -> tuple[str, str]:
@@ -260,9 +262,6 @@ def _paired(
     """Return the rows as pairs: by run id within one experiment, otherwise by repetition, otherwise in order.
 
     Where both experiments have repetitions and blocks, runs of the same repetition and block are pairs.
-
-    Raises:
-        AnalysisError: nothing tells which run belongs to which.
     """
     if first.folder == second.folder:
         keys = (ours[RUN_ID], theirs[RUN_ID])
@@ -320,20 +319,15 @@ def in_unit(values: Any, own: str, wanted: str) -> Any:
     return (units[0].to_si(values) - units[1].offset) / units[1].factor
 
 
-def are_numbers(values: pd.Series) -> bool:
-    """Return whether a measure is numeric; a text among its values may say why there is no number."""
-    return bool(pd.api.types.is_numeric_dtype(values))
-
-
 def are_texts(results: Results, measure: str) -> bool:
-    """Return whether a measure has values that are not numeric."""
+    """Return whether a measure has values that are not numeric; a text may say why there is no number."""
     values = results.done[measure]
-    return bool(values.notna().any()) and not are_numbers(values)
+    return bool(values.notna().any()) and not pd.api.types.is_numeric_dtype(values)
 
 
 def numbers_of(values: pd.Series) -> Floats:
     """Return the values of a measure; NaN for a missing one, and for all where the measure is not numeric."""
-    if not are_numbers(values):
+    if not pd.api.types.is_numeric_dtype(values):
         return np.full(len(values), np.nan)
     return np.asarray(values.to_numpy(dtype=np.float64, na_value=np.nan))
 

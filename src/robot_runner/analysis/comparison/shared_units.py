@@ -72,10 +72,9 @@ def unit_columns_of_both(*experiments: Results) -> tuple[UnitColumns, ...]:
     """
     found = [_unit_columns(each) for each in experiments]
     if not same_robots(*experiments):
-        robots = map(_robots_column, experiments)
         found = [
             replace(each, kinds=(*each.kinds, (name,))) if name else each
-            for each, name in zip(found, robots, strict=True)
+            for each, name in zip(found, map(_robots_column, experiments), strict=True)
         ]
     shared = dict.fromkeys(kind for each in found for kind in each.kinds)
     return tuple(

@@ -39,7 +39,6 @@ class Course:
         middle: the mean in each bin.
         low, high: for one run, the smallest and largest sample in the bin; for several runs, their mean minus and plus
             one standard deviation between runs, and NaN where there are fewer than two.
-        runs: the number of runs.
     """
 
     label: str
@@ -73,7 +72,6 @@ class MissionCourses:
         label: the name of the measure with its unit, as in `Power (W)`.
         order: the treatments in their order in all figures.
         runs: the courses of each treatment's runs; treatments without any are left out.
-        width: of a bin, s.
         phases: the phases of the mission, where all runs went through the same ones.
         events: the times of events, s since the start of the mission, by name.
     """

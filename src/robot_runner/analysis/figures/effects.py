@@ -42,12 +42,7 @@ _ROW = 0.24  # height of a combination, inches
 
 @figure_style()
 def draw_interaction(
-    groups: Mapping[str, Mapping[str, Group]],
-    *,
-    treatments: Sequence[str],
-    value_label: str,
-    along: str,
-    across: str,
+    groups: Mapping[str, Mapping[str, Group]], *, treatments: Sequence[str], value_label: str, along: str, across: str
 ) -> Figure:
     """Draw the mean of each combination of two factors; lines that are not parallel hint at an interaction.
 

@@ -159,8 +159,7 @@ def draw_trajectories(ways: Sequence[Trajectory], *, order: Sequence[str]) -> Fi
     axes.set_aspect("equal")
     label_axes(axes, "x (m)", "y (m)", grid="both")
     if 1 < len(order) <= _MOST_IN_LEGEND:
-        handles = [named[name] for name in order if name in named]
-        figure.legend(handles=handles, loc="outside lower center", ncols=3)
+        figure.legend(handles=[named[name] for name in order if name in named], loc="outside lower center", ncols=3)
     return figure
 
 

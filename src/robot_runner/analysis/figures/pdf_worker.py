@@ -41,10 +41,7 @@ class PdfWorker:
         self._complaint = tempfile.TemporaryFile()  # noqa: SIM115 - closed on leaving; a pipe could fill up
         # -P: modules in the user's folder must not shadow ours.
         self._process = subprocess.Popen(  # noqa: S603 - this Python, and a module of ours
-            [sys.executable, "-P", "-m", _MODULE],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=self._complaint,
+            [sys.executable, "-P", "-m", _MODULE], stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=self._complaint
         )
         self._input = cast("IO[bytes]", self._process.stdin)  # not None, because of stdin=PIPE
 

@@ -151,7 +151,6 @@ def looks_by(order: Iterable[str]) -> dict[str, Look]:
 
 
 def _families() -> list[str]:
-    """Return the installed font families for figures."""
     fonts = {font.name for font in font_manager.fontManager.ttflist}
     return [_FONT, *(name for name in _FONTS_OF_OTHER_SCRIPTS if name in fonts)]
 

@@ -116,7 +116,7 @@ def adopt(understanding: Understanding, target: Path) -> Adoption:
 
 def _write(understanding: Understanding, folder: ExperimentFolder, target: Path) -> Adoption:
     folder.runs.mkdir()
-    runs = tuple(_adopted(understanding, folder.run(run.run_id), run) for run in understanding.runs)
+    runs = tuple(_adopted(understanding, folder, run) for run in understanding.runs)
     warnings = tuple(trace_warnings(understanding.runs, {run.run_id: run.spans for run in runs}, understanding.units))
     differences = tuple(_differences(understanding, runs))
     rows = _rows(understanding, runs)
@@ -132,9 +132,10 @@ def _write(understanding: Understanding, folder: ExperimentFolder, target: Path)
     return Adoption(target, runs, differences, warnings)
 
 
-def _adopted(understanding: Understanding, folder: Path, run: ForeignRun) -> AdoptedRun:
+def _adopted(understanding: Understanding, experiment: ExperimentFolder, run: ForeignRun) -> AdoptedRun:
     if run.folder is None:
         return AdoptedRun(run.run_id)
+    folder = experiment.run(run.run_id)
     known = {path: each for each in understanding.samples if (path := each.paths.get(run.source_id)) is not None}
     everything = [(each, read_run_samples(each, path)) for path, each in known.items()]
     samples = [(each, read) for each, read in everything if len(read.nanoseconds)]
@@ -310,22 +311,24 @@ def _manifest(understanding: Understanding, runs: Sequence[AdoptedRun], warnings
 
 
 def _write_journal(understanding: Understanding, folder: ExperimentFolder, runs: Sequence[AdoptedRun]) -> None:
+    now = utc_now()
     with Journal(folder.journal) as journal:
         journal.append("imported", name=understanding.name, table=understanding.table.path.name, runs=len(runs))
         for run, adopted in zip(understanding.runs, runs, strict=True):
             if run.status is not RunStatus.TODO:
-                _write_attempt(journal, understanding, run, adopted)
+                _write_attempt(journal, understanding, run, adopted, now)
         journal.append("table_written")
 
 
-def _write_attempt(journal: Journal, understanding: Understanding, run: ForeignRun, adopted: AdoptedRun) -> None:
-    begin, end = (adopted.stamps[stamp] or utc_now() for stamp in _STAMPS)
+def _write_attempt(
+    journal: Journal, understanding: Understanding, run: ForeignRun, adopted: AdoptedRun, now: str
+) -> None:
+    begin, end = (adopted.stamps[stamp] or now for stamp in _STAMPS)
     which: dict[str, Any] = {"run": run.run_id, "attempt": 1}
     journal.append("attempt_started", at=begin, **which)
     if adopted.duration is not None:
         journal.append("event", at=begin, **which, event="start_measurement", clock=adopted.begun)
-        stopped = adopted.begun + adopted.duration
-        journal.append("event", at=end, **which, event="stop_measurement", clock=stopped)
+        journal.append("event", at=end, **which, event="stop_measurement", clock=adopted.begun + adopted.duration)
     journal.append(
         "attempt_finished",
         at=end,

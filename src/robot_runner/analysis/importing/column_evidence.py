@@ -108,6 +108,8 @@ TREATMENTS = re.compile(r"treatments?|types?|conditions?|groups?|arms?", re.IGNO
 
 #: Treatments are planned, so that their frequencies are similar: the rarest has at least half of the most frequent.
 _EVENLY = 0.5
+#: Fewer rows than these may be counted by chance.
+_FEWEST_ROWS = 5
 #: Repetition numbers are unique within a combination, except for a few runs that were executed again.
 _TELLING = 0.95
 
@@ -181,6 +183,12 @@ class ColumnEvidence:
         """Return whether all values are distinct, and none is missing."""
         return self.levels(name) == self.count and self.is_filled(name)
 
+    def counts_rows(self, name: str) -> bool:
+        """Return whether a column counts the rows from 0 or 1 on, one by one."""
+        if self.count < _FEWEST_ROWS or self.names_measure(name):
+            return False
+        return self.values(name) in [tuple(map(str, range(first, first + self.count))) for first in (0, 1)]
+
     def is_numeric(self, name: str) -> bool:
         """Return whether a column has mostly numbers."""
         if self.table.is_numeric(name):
@@ -196,8 +204,12 @@ class ColumnEvidence:
 
     def without_outcomes(self, name: str, others: Sequence[str]) -> list[str]:
         """Return columns without answers and texts that come after a column: they, like itself, may be outcomes."""
-        behind = self.table.headings[self.table.headings.index(name) :]
+        behind = self.behind(name)
         return [each for each in others if each not in behind or (self.is_numeric(each) and each != name)]
+
+    def behind(self, name: str) -> Sequence[str]:
+        """Return a column and those behind it."""
+        return self.table.headings[self.table.headings.index(name) :]
 
     def is_decimal(self, name: str) -> bool:
         """Return whether a column has fractional numbers."""
@@ -222,9 +234,13 @@ class ColumnEvidence:
 
     def names_measure(self, name: str) -> bool:
         """Return whether the heading names a measure, by a unit or by its words."""
-        unit = self.table.unit(name)
         words = (word.casefold() for word in _WORDS_OF_HEADING.findall(name))
-        return (unit is not None and unit.si != "1") or any(map(_MEASURED.fullmatch, words))
+        return self.has_unit(name) or any(map(_MEASURED.fullmatch, words))
+
+    def has_unit(self, name: str) -> bool:
+        """Return whether the heading has a unit, other than that of shares and counts."""
+        unit = self.table.unit(name)
+        return unit is not None and unit.si != "1"
 
     def names_outcome(self, name: str) -> bool:
         """Return whether the heading names what comes of a run, such as success."""
@@ -329,6 +345,10 @@ class ColumnEvidence:
         return _pairs(combined, which) == self.count and not self._follows(combined, name)
 
     # Relations between factors.
+
+    def is_balanced(self, name: str, others: Sequence[str]) -> bool:
+        """Return whether each value of a column occurs equally often with every combination of the others."""
+        return self.crosses(name, others) and len(set(np.bincount(self._combined([*others, name])).tolist())) == 1
 
     def crosses(self, name: str, others: Sequence[str]) -> bool:
         """Return whether each value of a column occurs with every combination of the others."""

@@ -161,9 +161,8 @@ class _Guessing:
         else:
             for name in self._left():
                 is_measure = said.measures is None and self._evidence.is_measurable(name)
-                self._take(
-                    name, Role.MEASURE if is_measure else Role.TEXT, Confidence.SURE, "the description has no other"
-                )
+                role = Role.MEASURE if is_measure else Role.TEXT
+                self._take(name, role, Confidence.SURE, "the description has no other")
         block = said.block or (self._guessed_block() if said.design is None else None)
         in_run_id = repetition is None and self._evidence.repetition_in_run_id
         if said.block is not None and said.block not in self._table.headings and not in_run_id:
@@ -217,7 +216,23 @@ class _Guessing:
         for name in self._called(_NUMBERING):
             if name != self._said.repetition and evidence.differs_everywhere(name):
                 return self._take(name, Role.RUN_ID, Confidence.SURE, "its name, and no value twice")
-        return None
+        return self._counted_rows() if self._said.guess or self._said.factors is None else None
+
+    def _counted_rows(self) -> str | None:
+        """Take the first column for the run's id if it counts the rows, and treatments and a measure are behind it.
+
+        Anywhere else numbers that grow one by one are as often measured, and in a table of numbers alone varied.
+        """
+        evidence, said = self._evidence, (self._said.status, self._said.repetition, self._said.block)
+        name, *others = [each for each in self._left() if each not in said] or [""]
+        if not name or _REPETITION.fullmatch(_folded(name)) or not evidence.counts_rows(name):
+            return None
+        texts = [each for each in others if evidence.is_treatment_text(each) and not self._table.has_answers(each)]
+        if not texts or not any(map(evidence.is_surely_measured, others)):
+            return None
+        told = f"{name} counts the rows and is taken for the run's id; if it was varied or measured"
+        self._notes.append(f"{told}, say --factor or --measure {shlex.quote(name)}")
+        return self._take(name, Role.RUN_ID, Confidence.LIKELY, "it counts the rows")
 
     def _status(self) -> str | None:
         if self._said.status:
@@ -256,15 +271,12 @@ class _Guessing:
         factors = self._named(Role.FACTOR)
         is_one = not self._evidence.sums_up(repetition, factors)
         if is_one and self._evidence.tells_runs_apart(repetition, factors):
-            self._take(
-                repetition, Role.REPETITION, Confidence.SURE, "its name, and it counts the runs of a combination"
-            )
-            return repetition
+            reason = "its name, and it counts the runs of a combination"
+            return self._take(repetition, Role.REPETITION, Confidence.SURE, reason)
         is_called = _folded(repetition).startswith(("rep", "trial"))
         if is_one and (self._evidence.crosses(repetition, factors) or is_called):
             reason = "its name, but runs of a combination have the same number"
-            self._take(repetition, Role.REPETITION, Confidence.UNSURE, reason)
-            return repetition
+            return self._take(repetition, Role.REPETITION, Confidence.UNSURE, reason)
         del self._guesses[repetition]
         self._guess_rest(None)
         return None
@@ -284,9 +296,8 @@ class _Guessing:
         factors = [*self._named(Role.FACTOR), *texts]
         has_measures = False
         for place, name in enumerate(left):
-            is_outcome = name in self._late and evidence.differs_between_repetitions(
-                name, evidence.without_outcomes(name, factors), repetition
-            )
+            others = evidence.without_outcomes(name, factors)
+            is_outcome = name in self._late and evidence.differs_between_repetitions(name, others, repetition)
             is_first = (place < begun and not has_measures) or (name in texts and not is_outcome)
             role, confidence, reason = self._evidence.verdict(name, factors, repetition, is_first=is_first)
             self._take(name, role, confidence, reason)
@@ -318,22 +329,21 @@ class _Guessing:
         factors = self._named(Role.FACTOR)
         for name in factors:
             others = [each for each in factors if each != name]
-            if (
-                name not in (self._said.factors or ())
-                and others
-                and self._evidence.counts(name)
-                and self._evidence.tells_runs_apart(name, others)
-            ):
-                numbers = self._evidence.values(name)
-                if not self._evidence.is_numeric(name):
-                    reason = "its texts are numbered, and each combination has every one once: a repetition?"
-                    self._take(name, Role.FACTOR, Confidence.UNSURE, reason)
-                elif len(numbers) >= _FEWEST_COUNTED and not (
-                    _BLOCK.fullmatch(_folded(name)) or _MAYBE_BLOCK.fullmatch(_folded(name))
-                ):
-                    first, *_, last = sorted(numbers, key=lambda each: repetition_number(each) or 0)
-                    told = f"{name} counts from {first} to {last}, and each combination has every number once"
-                    self._notes.append(f"{told}: repetitions? Then say --repetition {shlex.quote(name)}")
+            counts = others and self._evidence.counts(name) and self._evidence.tells_runs_apart(name, others)
+            if not counts or name in (self._said.factors or ()):
+                continue
+            numbers = self._evidence.values(name)
+            is_block = _BLOCK.fullmatch(_folded(name)) or _MAYBE_BLOCK.fullmatch(_folded(name))
+            if not self._evidence.is_numeric(name):
+                reason = (
+                    "its texts are numbered, and each combination has every one once: a repetition (--repetition), or "
+                    "one that treatments are compared within (--block)?"
+                )
+                self._take(name, Role.FACTOR, Confidence.UNSURE, reason)
+            elif len(numbers) >= _FEWEST_COUNTED and not is_block:
+                first, *_, last = sorted(numbers, key=lambda each: repetition_number(each) or 0)
+                told = f"{name} counts from {first} to {last}, and each combination has every number once"
+                self._notes.append(f"{told}: repetitions? Then say --repetition {shlex.quote(name)}")
 
     def _name_aliases(self) -> None:
         """Keep columns that follow from factors as text: names and numbers of combinations, synonyms of treatments."""
@@ -377,11 +387,11 @@ class _Guessing:
                 found = name
                 reason = f"each of its {len(values)} values has every combination, and they are only numbered"
                 self._take(name, Role.BLOCK, Confidence.LIKELY, reason)
-                self._notes.append(f"{name} is taken for a block; if it is a treatment, say --factor {name}")
+                told = f"{name} is taken for a block"
+                self._notes.append(f"{told}; if it is a treatment, say --factor {shlex.quote(name)}")
             else:
-                self._notes.append(
-                    f"{name} has every combination for each of its values: a block? Then say --block {name}"
-                )
+                told = f"{name} has every combination for each of its values"
+                self._notes.append(f"{told}: a block? Then say --block {shlex.quote(name)}")
         return found
 
 

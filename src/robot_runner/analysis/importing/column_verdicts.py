@@ -205,8 +205,7 @@ class ColumnVerdicts(ColumnEvidence):
         self, name: str, others: Sequence[str], repetition: str | None, *, is_first: bool
     ) -> Iterator[Verdict]:
         levels, named = self.levels(name), self.names_measure(name)
-        if self.differs_everywhere(name) and NUMBERING.fullmatch(name) and not self.is_decimal(name):
-            yield Role.TEXT, Confidence.SURE, "it numbers the rows"
+        yield from self._numbers_of_rows(name, others)
         if self.are_epochs(name):
             yield Role.TEXT, Confidence.SURE, "moments, counted since 1970"
         if (moments := self._grow_like_moments(name)) is not None:
@@ -226,25 +225,30 @@ class ColumnVerdicts(ColumnEvidence):
         if 2 * levels > self.count:
             sure = named or self.is_decimal(name)
             yield Role.MEASURE, (Confidence.SURE if sure else Confidence.LIKELY), "numbers that differ in most runs"
-        yield self._few_numbers(name, levels, is_first=is_first, named=named)
+        yield self._few_numbers(name, levels, others, is_first=is_first, named=named)
 
-    def _few_numbers(self, name: str, levels: int, *, is_first: bool, named: bool) -> Verdict:
+    def _numbers_of_rows(self, name: str, others: Sequence[str]) -> Iterator[Verdict]:
+        if self.differs_everywhere(name) and NUMBERING.fullmatch(name) and not self.is_decimal(name):
+            yield Role.TEXT, Confidence.SURE, "it numbers the rows"
+        if self.knows_combinations and self.counts_rows(name) and any(each in self.behind(name) for each in others):
+            yield Role.TEXT, Confidence.UNSURE, "it counts the rows: numbers of runs, or measured?"
+
+    def _few_numbers(self, name: str, levels: int, others: Sequence[str], *, is_first: bool, named: bool) -> Verdict:
         """Return the verdict on numbers that repeat, where nothing tells the combinations of runs."""
         even = self.is_even(name)
         are_names = NUMBERING.fullmatch(name) or levels > _MANY_TREATMENTS
         if even and are_names and not named and not self.is_decimal(name):
-            return (
-                Role.FACTOR,
-                Confidence.UNSURE,
-                f"{levels} numbers, evenly repeated: do they count or name something?",
-            )
+            reason = f"{levels} numbers, evenly repeated: do they count or name something?"
+            return Role.FACTOR, Confidence.UNSURE, reason
         if is_first and even and levels == 2 and self.names_outcome(name):  # noqa: PLR2004 - no and yes
             return Role.FACTOR, Confidence.UNSURE, f"{levels} numbers before the measures: an outcome?"
         if is_first and even and levels <= _MANY_TREATMENTS:
             return Role.FACTOR, (Confidence.LIKELY if named else Confidence.SURE), f"{levels} numbers, evenly repeated"
         if not is_first or named or levels > _MANY_TREATMENTS:
             doubt = Confidence.SURE if named else Confidence.LIKELY
-            if even and not named and levels <= _MANY_TREATMENTS:
+            # Treatments may be in a unit; what came of runs, and counts, are equally frequent by chance.
+            is_planned = others and self.has_unit(name) and self.is_balanced(name, others)
+            if (even if not named else is_planned) and levels <= _MANY_TREATMENTS:
                 return Role.FACTOR, Confidence.UNSURE, f"{levels} numbers after the measures, evenly repeated"
             return Role.MEASURE, doubt, f"{levels} numbers, {'evenly' if even else 'unevenly'} repeated"
         role = Role.MEASURE if self.is_decimal(name) else Role.FACTOR

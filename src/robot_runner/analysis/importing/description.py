@@ -165,9 +165,8 @@ def parse_recipe(text: str) -> Recipe:
         raise AnalysisError(f"{text!r} is not a recipe", where="recompute", fix=fix)
     hows = [each.value for each in Aggregation]
     if found["how"] not in hows:
-        raise AnalysisError(
-            f"there is no way {found['how']!r}", where=f"recompute {text}", fix=did_you_mean(found["how"], hows)
-        )
+        fix = did_you_mean(found["how"], hows)
+        raise AnalysisError(f"there is no way {found['how']!r}", where=f"recompute {text}", fix=fix)
     how = Aggregation(found["how"])
     if how.needs_column and not found["column"]:
         fix = f"Write {how.value}({found['file']}:COLUMN)."

@@ -25,6 +25,7 @@ from robot_runner.core.storage.cells import number_of
 from robot_runner.core.words import counted, enumerated, listed, one_line
 
 _TABLE = "run_table.csv"
+_WORKBOOKS = {".xlsx", ".xlsm", ".xls", ".ods"}
 _SHOWN_TABLES = 10
 _SHOWN_CELLS = 4
 #: What spreadsheets write before the means and sums under a table, in small letters.
@@ -134,16 +135,12 @@ class Understanding:
         least, most = min(combinations.values()), max(combinations.values())
         parts = [f"{counts} ({' x '.join(map(one_line, varied))})" if varied else "one combination"]
         parts += [f"{len(combinations)} of {possible} combinations are there"] if len(combinations) < possible else []
-        each = counted(least, "run") if least == most else f"{least} to {most} runs"
-        parts += [f"{each} a combination"]
+        parts += [f"{counted(least, 'run') if least == most else f'{least} to {most} runs'} a combination"]
         parts += [f"declared as {one_line(self.said.design.in_words)}"] if self.said.design is not None else []
         if block := self.roles.block:
-            number = (
-                len(self.treatments(block))
-                if block in self.roles.design
-                else len({run.repetition for run in self.runs})
-            )
-            parts += [f"in {number} blocks ({one_line(block)})"]
+            in_design = block in self.roles.design
+            blocks = self.treatments(block) if in_design else {run.repetition for run in self.runs}
+            parts += [f"in {len(blocks)} blocks ({one_line(block)})"]
         return f"{', '.join(parts)}: {counted(len(self.runs), 'run')}"
 
     @property
@@ -183,9 +180,7 @@ class Understanding:
     def design_facts(self) -> dict[str, object]:
         """The facts of the declared design, with the new headings; empty where none was declared."""
         design = self.said.design
-        if design is None:
-            return {}
-        return {"facts": design.facts("the import", self.headings.__getitem__)}
+        return {} if design is None else {"facts": design.facts("the import", self.headings.__getitem__)}
 
     def treatments(self, factor: str) -> tuple[str, ...]:
         """Return the treatments of a factor: numbers ascending, False before True, others as they occur."""
@@ -263,12 +258,19 @@ def _check_design(said: ImportDescription, runs: Sequence[ForeignRun], roles: Co
 
 
 def _table_path(root: Path, name: str | None) -> Path:
+    tables = sorted(path for path in root.glob("*.csv") if path.is_file())  # and no named pipe
+    candidates = [root / (name or "")]
+    if name is None and not tables:
+        candidates += sorted(each for each in root.glob("*") if not each.name.startswith("~$"))  # those are locks
+    for each in candidates:
+        if each.suffix.casefold() in _WORKBOOKS and each.is_file():
+            fix = "Save it as CSV with the program that opens it, and name the folder of the CSV file."
+            raise StorageError("this is a workbook, and no CSV file", where=str(each), fix=fix)
     if root.is_file():
         fix = f"Name the folder that holds it: {shlex.quote(str(root.parent))} --table {shlex.quote(root.name)}"
         raise StorageError("this is a file, not a folder of results", where=str(root), fix=fix)
     if not root.is_dir():
         raise StorageError("there is no such folder", where=str(root), fix="Name the folder that holds the results.")
-    tables = sorted(root.glob("*.csv"))
     if (root / (name or _TABLE)).is_file():
         return root / (name or _TABLE)
     if name is None and len(tables) == 1:

@@ -206,9 +206,7 @@ def split_heading(heading: str) -> tuple[str, Unit | None]:
             return base, unit
     if suffixed := _SUFFIXED.fullmatch(name):
         base, written = suffixed["base"], suffixed["unit"].replace("_per_", "/")
-        is_known = _symbol(written) in _IN_NAMES or all(
-            _symbol(part) in {*_IN_NAMES, "w"} for part in written.split("/")
-        )
+        is_known = all(_symbol(part) in {*_IN_NAMES, "w"} for part in written.split("/"))
         unit = _unit_in(base, written) if is_known and not base.endswith("_per") else None
         if unit is not None:
             return base + (suffixed["rest"] or ""), unit
@@ -310,7 +308,8 @@ def plain_cells(cells: Sequence[str], *, decimal: str | None, has_decimal_commas
     if not readings or (unit is None and readings[0][1] == numbers):
         return PlainCells(cells)
     words, plain = readings[0]
-    doubt = f"{min(plain)} may be {' or '.join(str(each[1][min(plain)]) for each in readings)}" if readings[1:] else ""
+    unclear = min((each for each in plain if len({number_of(of[each]) for _, of in readings}) > 1), default="")
+    doubt = f"{unclear} may be {' or '.join(of[unclear] for _, of in readings)}" if unclear else ""
     written = {cell: plain[number] for cell, number in numbers.items()}
     said = ", ".join(filter(None, (words, f"the unit {unit.symbol} behind each" if unit else "")))
     return PlainCells([written.get(cell, cell) for cell in cells], unit, said, doubt)

@@ -50,10 +50,8 @@ class ExactTests:
     def p_values(self, percent: Floats, hypotheses: Sequence[Hypothesis], draws: int) -> dict[Key, Floats]:
         """Return the uncorrected p-value of each test in each experiment; NaN where there is none.
 
-        Args:
-            percent: 100 for yes and 0 for no, (experiments, runs).
-            hypotheses: those with a contrast or a bound.
-            draws: the number of random tables for three or more treatments.
+        The percentages are 100 for yes and 0 for no, (experiments, runs). For three or more treatments, random tables
+        are drawn.
         """
 
         def of_effect(table: Strata) -> float:
@@ -109,10 +107,8 @@ def answer_model_of(
 ) -> AnyModel | ExactTests | NotComputed:
     """Return the tests that the design of a yes-or-no measure has: the model of its shares, or exact tests.
 
-    Args:
-        data: of one experiment, with any numbers for answers.
-        compared: the part of it that can be compared within batches.
-        statistic: of the plan.
+    The data is of one experiment, with any numbers for answers; `compared` is the part of it that can be compared
+    within batches.
     """
     if belong_together(data):
         model = model_of(compared, Estimand.MEAN, statistic)

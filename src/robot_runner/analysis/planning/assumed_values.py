@@ -1,31 +1,27 @@
 """Assumptions on the values of a study: the mean and the standard deviation of each combination, and of blocks.
 
-They come from options (`--sd`, `--difference`) or a file of means; `pilot_values` takes them from a pilot.
+They come from options (`--sd`, `--difference`), a file of means (`means_table`) or a pilot (`pilot_values`).
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-import pandas as pd
 
 from robot_runner.analysis.arrays import Floats
 from robot_runner.analysis.statistics.effect_coding import Term
 from robot_runner.analysis.statistics.families import Key, effect_key
-from robot_runner.core.errors import AnalysisError, did_you_mean
-from robot_runner.core.words import combination_label, counted, enumerated, listed
+from robot_runner.core.errors import AnalysisError
+from robot_runner.core.words import combination_label, enumerated
 
 if TYPE_CHECKING:
     from robot_runner.analysis.planning.planned_study import Cell, Study
 
-_AND = " x "
-#: The suffix of a column with the standard deviation of a measure, in a file of means.
-_SPREAD = ".sd"
+AND = " x "
 _ROUNDING = 1e-12
 _PERCENT = 100.0
 
@@ -54,10 +50,7 @@ class AssumedMeasure:
     def of_shares(cls, name: str, shares: Mapping[Cell, float], like: AssumedMeasure | None = None) -> AssumedMeasure:
         """Return the assumption on a measure that is yes or no, whose blocks vary like those of another.
 
-        Args:
-            name: of the measure.
-            shares: of yes of each combination, in percent.
-            like: None for no blocks.
+        The shares of yes of each combination are in percent. With `like` of None there are no blocks.
 
         Raises:
             AnalysisError: a share is not one of a hundred.
@@ -90,15 +83,7 @@ class AssumedMeasure:
         cells: Sequence[Cell],
         blocks: Sequence[str],
     ) -> Floats:
-        """Return the values of many experiments, (experiments, runs); 100 for yes and 0 for no.
-
-        Args:
-            random: draws them.
-            experiments: how many.
-            factors: of the combinations.
-            cells: the combination of each run.
-            blocks: the block of each run.
-        """
+        """Return the values of many experiments, (experiments, runs); 100 for yes and 0 for no."""
         means = np.array([self.means[cell] for cell in cells])
         spreads = np.array([self.spreads[cell] for cell in cells])
         values = np.tile(means, (experiments, 1))
@@ -160,13 +145,13 @@ def numbers_of(study: Study, option: str, texts: Sequence[str], measures: Sequen
     """Return a number for each measure, from texts such as `12` (for all measures) or `Energy=12`.
 
     Raises:
-        AnalysisError: a text cannot be read, or the number is below 0.
+        AnalysisError: a text cannot be read, names a measure that is not simulated, or the number is below 0.
     """
     found: dict[str, float] = {}
     for text in texts:
         name, has_name, number = text.rpartition("=")
-        names = [study.measure(name.strip(), option)] if has_name else measures
-        size = _number(number, option, text)
+        names = [study.measure(name.strip(), option, measures)] if has_name else measures
+        size = finite_number(number, option, text)
         if size < 0:
             raise _below_zero(text, option)
         found |= dict.fromkeys(names, size)
@@ -217,7 +202,7 @@ def differences_of(
         if not what:
             fix = "Write FACTOR=NUMBER, as in --difference Task=5."
             raise AnalysisError(f"{text!r} is not a difference", where=option, fix=fix)
-        factors = tuple(each.strip() for each in names.split(_AND))
+        factors = tuple(each.strip() for each in names.split(AND))
         for name in factors:
             study.factor(name, option)
             if len(study.treatments(name)) < 2:  # noqa: PLR2004 - a difference takes two
@@ -232,12 +217,13 @@ def differences_of(
         if apart:
             fix = f"Name {' x '.join(each for each in factors if each != apart[1])}, or {apart[1]} by itself."
             raise AnalysisError(f"{apart[0]} has one treatment where {apart[1]} applies", where=option, fix=fix)
-        of = [study.measure(measure.strip(), option)] if has_measure else measures
-        found += [Difference(each, factors, _number(number, option, text)) for each in of]
+        of = [study.measure(measure.strip(), option, measures)] if has_measure else measures
+        found += [Difference(each, factors, finite_number(number, option, text)) for each in of]
     return found
 
 
-def _number(text: str, where: str, shown: str) -> float:
+def finite_number(text: str, where: str, shown: str) -> float:
+    """Return the number that a text is; raise an `AnalysisError` on what is `shown` if it is none, or infinite."""
     try:
         number = float(text)
     except ValueError:
@@ -257,13 +243,8 @@ def assumed_scenario(
 ) -> Scenario:
     """Return a scenario with stated differences.
 
-    Args:
-        study: the planned study.
-        measures: the measures of the scenario.
-        differences: the assumed differences; all other effects are 0.
-        spreads: the standard deviation of each measure that `base` lacks.
-        base: known values of measures, such as a pilot's, or shares; only the grand mean of their means is used.
-        title: of the scenario.
+    All effects without a stated difference are 0. Of the known values in `base`, such as a pilot's, or shares, only the
+    grand mean of the means is used; `spreads` has the standard deviation of each measure that it lacks.
 
     Raises:
         AnalysisError: the standard deviation of a measure is unknown.
@@ -291,11 +272,7 @@ def assumed_scenario(
 
 
 def _refuse_bounds(study: Study, measures: Sequence[str]) -> None:
-    """Refuse differences without means for measures whose values the plan leaves out beyond bounds.
-
-    Raises:
-        AnalysisError: the plan has bounds for one of these measures.
-    """
+    """Refuse differences without means for measures whose values the plan leaves out beyond bounds."""
     rule = study.plan.outliers if study.plan is not None else None
     bound = [name for name in measures if rule is not None and name in rule.bounds]
     if bound:
@@ -303,79 +280,6 @@ def _refuse_bounds(study: Study, measures: Sequence[str]) -> None:
             f"the plan leaves out values of {enumerated(bound)} beyond bounds, and nothing says how large they are"
         )
         raise AnalysisError(problem, where="power", fix="Give their means: --pilot FOLDER, or (of power) --means FILE.")
-
-
-def means_file(study: Study, path: Path, spreads: Mapping[str, float]) -> dict[str, AssumedMeasure]:
-    """Read the means of a CSV file with columns for factors, measures and `<measure>.sd`, and a row per combination.
-
-    A factor without a column has no effect.
-
-    Raises:
-        AnalysisError: the file cannot be read, or lacks a combination or a standard deviation.
-    """
-    where = f"--means {path}"
-    try:
-        table = pd.read_csv(path, dtype=str, keep_default_na=False)
-    except (OSError, ValueError) as error:
-        why = error.strerror if isinstance(error, OSError) else str(error)
-        raise AnalysisError(f"the file cannot be read: {why}", where=where, fix="Name a CSV file.") from error
-    known = [*study.factors, *study.units, *(f"{name}{_SPREAD}" for name in study.units)]
-    for name in table.columns:
-        if name not in known:
-            raise AnalysisError(f"there is no factor or measure {name!r}", where=where, fix=did_you_mean(name, known))
-    names = [name for name in table.columns if name in study.units]
-    if not names:
-        raise AnalysisError("no column is a measure", where=where, fix=f"Name one: {', '.join(study.units)}.")
-    return {name: _of_table(study, table, name, spreads, where) for name in names}
-
-
-def _of_table(study: Study, table: pd.DataFrame, name: str, spreads: Mapping[str, float], where: str) -> AssumedMeasure:
-    rows = list(_rows_of_cells(study, table, where))
-    if table[name].str.strip().str.endswith("%").all():
-        shares = {
-            cell: _number(table[name][row].strip(" %"), where, f"{name} of {_AND.join(cell)}") for cell, row in rows
-        }
-        return AssumedMeasure.of_shares(name, shares)
-    means = {cell: _number(table[name][row], where, f"{name} of {_AND.join(cell)}") for cell, row in rows}
-    own = f"{name}{_SPREAD}"
-    if own in table:
-        found = {cell: _number(table[own][row], where, f"{own} of {_AND.join(cell)}") for cell, row in rows}
-        if below := [_AND.join(cell) for cell, spread in found.items() if spread < 0]:
-            raise AnalysisError(f"{own} of {listed(below)} is below 0", where=where, fix="Give standard deviations.")
-    elif name in spreads:
-        found = dict.fromkeys(study.cells, spreads[name])
-    else:
-        fix = f"Add the column {own}, or give --sd; write shares of yes as 80%."
-        raise AnalysisError(f"the spread of {name} is missing", where=where, fix=fix)
-    return AssumedMeasure(name, means, found)
-
-
-def _rows_of_cells(study: Study, table: pd.DataFrame, where: str) -> Iterator[tuple[Cell, int]]:
-    """Yield the row of each combination."""
-    told = [name for name in study.factors if name in table]
-    rows: dict[Cell, int] = {}
-    for row in range(len(table)):
-        texts = tuple(str(table[name][row]) for name in told)
-        if texts in rows:
-            problem = (
-                f"rows {rows[texts] + 1} and {row + 1} are both of {combination_label(texts) or 'all combinations'}"
-            )
-            untold = [name for name in study.varied if name not in told]
-            fix = f"Leave one out{f', or add the column {untold[0]}' if untold else ''}."
-            raise AnalysisError(problem, where=where, fix=fix)
-        rows[texts] = row
-    missing = []
-    for cell in study.cells:
-        own = tuple(text for name, text in zip(study.factors, cell, strict=True) if name in told)
-        if own in rows:
-            yield cell, rows[own]
-        else:
-            missing.append(combination_label(own) or "all combinations")
-    if missing:
-        problem = (
-            f"{counted(len(missing), 'combination')} of the design {'has' if len(missing) == 1 else 'have'} no row"
-        )
-        raise AnalysisError(problem, where=where, fix=f"Add rows for {listed(dict.fromkeys(missing))}.")
 
 
 def with_blocks(
@@ -386,9 +290,7 @@ def with_blocks(
         scenario,
         measures=tuple(
             replace(
-                each,
-                block_sd=blocks.get(each.name, each.block_sd),
-                responses=responses.get(each.name, each.responses),
+                each, block_sd=blocks.get(each.name, each.block_sd), responses=responses.get(each.name, each.responses)
             )
             for each in scenario.measures
         ),

@@ -63,7 +63,6 @@ class ComparedDesign:
     Attributes:
         repetitions: the number that fits into the budget; 0 if none does.
         seconds: the duration of all runs, in s.
-        combinations: the number of executed combinations.
         aliased: the aliases, in words.
         tells: 3 if all interactions can be estimated, 2 for two-factor interactions, 1 for main effects that are not
             aliased with these, else 0.

@@ -158,12 +158,10 @@ def _measure(
         fix = "Execute these runs, or give --sd and --difference instead."
         raise AnalysisError(f"the pilot has no value of {name} for {which}", where=where, fix=fix)
     freedom = len(frame) - len(means)
-    if freedom < 1:
-        problem = f"the pilot has a single run of each combination: {name} has no spread"
-        raise AnalysisError(problem, where=where, fix="Repeat its runs, or give --sd and --difference instead.")
-    varying = _varying(study, data, frame, freedom, shared)
+    varying = _varying(study, data, frame, freedom, shared) if freedom > 0 else None
     if varying is None:
-        problem = f"the pilot has a single run of each combination in each batch: {name} has no spread without these"
+        batch, without = (" in each batch", " without these") if freedom > 0 else ("", "")
+        problem = f"the pilot has a single run of each combination{batch}: {name} has no spread{without}"
         raise AnalysisError(problem, where=where, fix="Repeat its runs, or give --sd and --difference instead.")
     told = {cell: float(means[part]) for cell, part in wanted.items()}
     if answers is not None:
@@ -335,12 +333,8 @@ def _deviations(variances: Mapping[Term, float]) -> dict[Term, float]:
 def _mean_squares(means: pd.Series, shared: Sequence[str]) -> list[_MeanSquare]:
     """Return how blocks differ in each effect of several factors, interactions first.
 
-    Args:
-        means: of each combination in each block; blocks that lack one are left out.
-        shared: the factors.
-
-    Returns:
-        Empty for a single factor, of fewer than two blocks, and where combinations are not those of a full factorial.
+    Blocks that lack a combination are left out. The list is empty for a single factor, of fewer than two blocks, and
+    where combinations are not those of a full factorial.
     """
     table = means.unstack().dropna()  # noqa: PD010 - a series
     cells = [tuple(each) for each in table]

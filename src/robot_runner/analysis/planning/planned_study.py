@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
@@ -25,6 +26,7 @@ from robot_runner.core.design.run_table_model import RunTableModel
 from robot_runner.core.errors import AnalysisError, did_you_mean
 from robot_runner.core.storage.cells import RunStatus
 from robot_runner.core.storage.table_columns import ColumnDescription, ColumnRole
+from robot_runner.core.words import enumerated
 
 #: A fixed seed, so that the order of the runs is reproducible.
 _SEED = 20210525
@@ -46,13 +48,10 @@ class Study:
     """A design with a variable number of repetitions, and its analysis.
 
     Attributes:
-        name: of the experiment.
         factors: the treatments of each factor, as texts; without the blocks of a special design.
         cells: the executed combinations.
         blocks: the column within which the order is randomised: a factor or the repetition; None without blocks.
-        shuffle: whether the order is randomised.
         repetitions: the number in the config.
-        plan: the analysis plan, if any.
         units: the measures of the run table, with their units.
         is_repeated: whether `repeat_until` adds repetitions until measures are precise.
         columns: the treatments of all factors of the config, including blocks, except of one that counts repetitions.
@@ -175,14 +174,18 @@ class Study:
             raise AnalysisError(f"there is no factor {name!r}", where=where, fix=did_you_mean(name, self.factors))
         return self.factors[name]
 
-    def measure(self, name: str, where: str) -> str:
-        """Return the name of a measure after checking that the run table has it.
+    def measure(self, name: str, where: str, simulated: Sequence[str] | None = None) -> str:
+        """Return the name of a measure after checking that the run table has it, and that it is among the simulated.
 
         Raises:
-            AnalysisError: there is no such measure.
+            AnalysisError: there is no such measure, or what is said of it would have no effect.
         """
         if name not in self.units:
             raise AnalysisError(f"there is no measure {name!r}", where=where, fix=did_you_mean(name, self.units))
+        if simulated is not None and name not in simulated:
+            options = " ".join(f"--measure {shlex.quote(each)}" for each in (*simulated, name))
+            fix = did_you_mean(name, simulated, f"Name all of them ({options}), or leave it out.")
+            raise AnalysisError(f"{name} is not simulated, only {enumerated(simulated)}", where=where, fix=fix)
         return name
 
     def runs(self, repetitions: int) -> int:
@@ -192,11 +195,9 @@ class Study:
     def results(self, repetitions: int, values: Mapping[str, Any], first_batch: int | None = None) -> PlannedResults:
         """Return the results that the study would have after a number of repetitions.
 
-        Args:
-            repetitions: of each combination.
-            values: of each measure, one for each run; runs are in the order of the repetitions, each with all
-                combinations.
-            first_batch: how many repetitions were executed before the experiment was extended; None if it was not.
+        The values of each measure are one for each run; runs are in the order of the repetitions, each with all
+        combinations. `first_batch` is how many repetitions were executed before the experiment was extended; None if it
+        was not.
         """
         rows = self._rows(repetitions)
         count = len(rows)
@@ -271,7 +272,6 @@ def _no_column(blocks: str | None, where: str) -> AnalysisError:
 
 
 def _block_columns(model: RunTableModel) -> set[str]:
-    """Return the factors that are blocks, according to the facts of the design."""
     if model.is_full_factorial:
         return set()
     names = [factor.name for factor in model.factors]

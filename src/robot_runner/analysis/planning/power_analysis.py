@@ -12,13 +12,13 @@ from robot_runner.analysis.planning.assumed_values import (
     Scenario,
     assumed_scenario,
     differences_of,
-    means_file,
     numbers_of,
     responses_of,
     with_blocks,
 )
+from robot_runner.analysis.planning.means_table import means_file
 from robot_runner.analysis.planning.pilot_values import Pilot, pilot_values
-from robot_runner.analysis.planning.power_search import Found, PowerPoint, ScenarioPower, Search, search_repetitions
+from robot_runner.analysis.planning.power_search import Found, ScenarioPower, Search, search_repetitions
 from robot_runner.analysis.wording import sentence, shown_level
 from robot_runner.core.design.analysis_plan import Family
 from robot_runner.core.errors import AnalysisError
@@ -133,10 +133,7 @@ def _found_as_mapping(found: Found) -> dict[str, Any]:
 
 
 def power_analysis(
-    study: Study,
-    assumptions: Assumptions,
-    search: Search,
-    progress: Callable[[int, int], None] = lambda _, __: None,
+    study: Study, assumptions: Assumptions, search: Search, progress: Callable[[int, int], None] = lambda _, __: None
 ) -> PowerAnalysis:
     """Find how many repetitions a study needs, under each set of assumptions.
 
@@ -151,11 +148,7 @@ def power_analysis(
 
 
 def _refuse_vain(study: Study, assumptions: Assumptions) -> None:
-    """Refuse what is said of blocks that the study does not have.
-
-    Raises:
-        AnalysisError: the study has no blocks, and something is said of them.
-    """
+    """Refuse what is said of blocks that the study does not have."""
     for option, given in (("--block-sd", assumptions.blocks), ("--response-sd", assumptions.responses)):
         if given and not study.has_units:
             fix = "Leave it out, or say in the config what blocks are: blocks=... with shuffle=True, or a design."
@@ -192,11 +185,7 @@ def _measured(study: Study, assumptions: Assumptions) -> tuple[tuple[str, ...], 
 
 
 def _measures(study: Study, assumptions: Assumptions) -> tuple[str, ...]:
-    """Return the measures to simulate: the requested ones, those of the plan, or all with assumptions.
-
-    Raises:
-        AnalysisError: a measure is unknown.
-    """
+    """Return the measures to simulate: the requested ones, those of the plan, or all with assumptions."""
     asked = tuple(study.measure(name, "--measure") for name in assumptions.measures)
     if study.plan is not None:
         return asked or tuple(study.measure(name, "analysis") for name in study.plan.measures)
@@ -225,7 +214,7 @@ def _scenarios(
         if pilot is not None:
             fix = "Give one of them."
             raise AnalysisError("--means and --pilot both say what the means are", where="power", fix=fix)
-        base = means_file(study, assumptions.means, spreads)
+        base = means_file(study, assumptions.means, spreads, measures)
         _refuse_unknown(measures, base, f"--means {assumptions.means}")
     base = {name: _with_share(each, shares[name]) if name in shares else each for name, each in base.items()}
     answers = {*shares, *(name for name, each in base.items() if each.is_share)}
@@ -250,11 +239,7 @@ def _scenarios(
 
 
 def _shares(study: Study, texts: Sequence[str], measures: Sequence[str]) -> dict[str, float]:
-    """Return the share of yes of each measure in percent, from texts such as `85`, `85%` or `Ok=85`.
-
-    Raises:
-        AnalysisError: a text cannot be read, or is below 1 without `%`, as a fraction is.
-    """
+    """Return the share of yes of each measure in percent, from texts such as `85`, `85%` or `Ok=85`."""
     found: dict[str, float] = {}
     for text in map(str.strip, texts):
         each = numbers_of(study, "--share", [text.removesuffix("%")], measures)
@@ -267,11 +252,7 @@ def _shares(study: Study, texts: Sequence[str], measures: Sequence[str]) -> dict
 
 
 def _with_share(known: AssumedMeasure, share: float) -> AssumedMeasure:
-    """Return the same with this share of yes over all combinations, in percent, and the same differences and blocks.
-
-    Raises:
-        AnalysisError: it is a number, or a share is then not one of a hundred.
-    """
+    """Return the same with this share of yes over all combinations, in percent, and the same differences and blocks."""
     if not known.is_share:
         fix = "Give --sd in its place, or publish True and False (in a file of means: 80%)."
         raise AnalysisError(f"{known.name} is a number, and not yes or no", where="--share", fix=fix)
@@ -341,26 +322,15 @@ def answer_in_words(analysis: PowerAnalysis, scenario: ScenarioPower) -> str:
     """Return a sentence on how many repetitions suffice, or that none in the range does."""
     search = analysis.search
     what = "what is sought" if len(scenario.sought) == 1 else "each of what is sought"
-    if scenario.needed is None:
-        point = scenario.point(search.last)
-        told = f"{_finding(point)} {what} in {share_in_words(point.least)} of experiments"
-        return f"{told}: fewer than {shown_level(search.power)}."
     needed = scenario.needed
-    point = scenario.point(needed.repetitions)
-    told = f"{_finding(point)} {what} in {share_in_words(point.least)} of experiments"
+    point = scenario.point(search.last if needed is None else needed.repetitions)
+    finds = "finds" if point.repetitions == 1 else "find"
+    those = f"{counted(point.repetitions, 'repetition')} ({counted(point.runs, 'run')})"
+    told = f"{those} {finds} {what} in {share_in_words(point.least)} of experiments"
+    if needed is None:
+        return f"{told}: fewer than {shown_level(search.power)}."
     if needed.repetitions == search.first:
         return f"{told}; fewer were not looked at."
-    return f"{told}{_leeway(scenario, point)}."
-
-
-def _finding(point: PowerPoint) -> str:
-    verb = "finds" if point.repetitions == 1 else "find"
-    return f"{counted(point.repetitions, 'repetition')} ({counted(point.runs, 'run')}) {verb}"
-
-
-def _leeway(scenario: ScenarioPower, point: PowerPoint) -> str:
-    needed = scenario.needed
-    if needed is None or (needed.low == needed.high == point.repetitions):
-        return ""
-    high = "more" if needed.high is None else f"{needed.high}"
-    return f"; the simulation leaves {needed.low} to {high}"
+    if needed.low == needed.high == needed.repetitions:
+        return f"{told}."
+    return f"{told}; the simulation leaves {needed.low} to {'more' if needed.high is None else needed.high}."

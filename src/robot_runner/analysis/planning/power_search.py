@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -18,7 +18,6 @@ from robot_runner.core.words import counted
 if TYPE_CHECKING:
     from robot_runner.analysis.planning.assumed_values import Scenario
     from robot_runner.analysis.planning.planned_study import Study
-    from robot_runner.analysis.statistics.families import Key
 
 #: The first and the largest number of simulated experiments for each number of repetitions. At a power of 80 % the
 #: standard error is 1.3 and 0.4 percentage points.
@@ -94,7 +93,6 @@ class ScenarioPower:
     """The power under one set of assumptions.
 
     Attributes:
-        claims: all tested claims.
         sought: the indices of the claims to detect.
         points: by number of repetitions.
         needed: None if no number in the range suffices.
@@ -147,19 +145,27 @@ def search_repetitions(
     curve = _Curve(study, scenario, search, progress)
     for repetitions in _spread(curve.first, search.last, _POINTS_OF_MODELS if curve.is_slow else _POINTS):
         curve.grow(repetitions, curve.fewest)
-    target = search.power
+    target, answer = search.power, None
     needed = curve.first_where(lambda found: found.share >= target)
     if needed is not None:
         low = curve.first_where(lambda found: found.interval[1] >= target)
         high = curve.first_where(lambda found: found.interval[0] >= target)
         answer = Needed(needed, min(needed, low or needed), None if high is None else max(needed, high))
-    points, answered = curve.points(), None if needed is None else answer
-    return ScenarioPower(scenario, curve.claims, curve.sought, points, answered, curve.too_few)
+    return ScenarioPower(scenario, curve.claims, curve.sought, curve.points(), answer, curve.too_few)
 
 
 def _spread(first: int, last: int, count: int) -> list[int]:
     """Return numbers from first to last in about geometric progression."""
     return sorted({round(each) for each in np.geomspace(first, last, count)} | {first, last})
+
+
+@dataclass(slots=True)
+class _Counted:
+    """How often each claim was found, and last all sought ones together, in so many experiments and parts of these."""
+
+    counts: list[int]
+    experiments: int = 0
+    parts: int = 0
 
 
 class _Curve:
@@ -168,9 +174,7 @@ class _Curve:
     def __init__(self, study: Study, scenario: Scenario, search: Search, progress: Callable[[int, int], None]) -> None:
         self._study, self._scenario, self._search, self._progress = study, scenario, search, progress
         self._simulations: dict[int, Simulation] = {}
-        self._counts: dict[int, tuple[int, ...]] = {}
-        self._done: dict[int, int] = {}
-        self._parts: dict[int, int] = {}
+        self._counted: dict[int, _Counted] = {}
         self.too_few = ""
 
     @cached_property
@@ -216,45 +220,34 @@ class _Curve:
 
     def _simulation(self, repetitions: int) -> Simulation:
         if repetitions not in self._simulations:
-            self._simulations[repetitions] = Simulation(
-                self._study,
-                self._scenario,
-                repetitions,
-                seed=(self._search.seed,),
-                first_batch=self._search.first_batch,
-            )
+            seed, batch = (self._search.seed,), self._search.first_batch
+            simulation = Simulation(self._study, self._scenario, repetitions, seed=seed, first_batch=batch)
+            self._simulations[repetitions] = simulation
         return self._simulations[repetitions]
 
     def grow(self, repetitions: int, experiments: int) -> None:
         """Simulate until there are this many experiments, up to the limit."""
         wanted = min(experiments, self._most)
-        while self._done.get(repetitions, 0) < wanted:
-            done = self._done.get(repetitions, 0)
-            some = min(AT_ONCE, wanted - done)
-            self._progress(repetitions, done + some)
-            part = self._parts.get(repetitions, 0)  # each part has experiments of its own, few or many
-            found = self._simulation(repetitions).found(part, some)
-            self._take(repetitions, found, some)
-            self._done[repetitions], self._parts[repetitions] = done + some, part + 1
-
-    def _take(self, repetitions: int, found: Mapping[Key, np.ndarray], some: int) -> None:
-        nothing = np.zeros(some, dtype=bool)
-        each = [found.get(claim.key, nothing) for claim in self.claims]
-        together = np.all([each[place] for place in self.sought], axis=0)
-        before = self._counts.get(repetitions, (0,) * (len(each) + 1))
-        added = (*(int(one.sum()) for one in each), int(together.sum()))
-        self._counts[repetitions] = tuple(old + new for old, new in zip(before, added, strict=True))
+        told = self._counted.setdefault(repetitions, _Counted([0] * (len(self.claims) + 1)))
+        while told.experiments < wanted:
+            some = min(AT_ONCE, wanted - told.experiments)
+            self._progress(repetitions, told.experiments + some)
+            found = self._simulation(repetitions).found(told.parts, some)  # each part has experiments of its own
+            each = [found.get(claim.key, np.zeros(some, dtype=bool)) for claim in self.claims]
+            each.append(np.all([each[place] for place in self.sought], axis=0))
+            told.counts = [old + int(new.sum()) for old, new in zip(told.counts, each, strict=True)]
+            told.experiments, told.parts = told.experiments + some, told.parts + 1
 
     def least(self, repetitions: int) -> Found:
         """Return the power of the sought claim that is found least often."""
-        counts = self._counts[repetitions]
-        return Found(min(counts[place] for place in self.sought), self._done[repetitions])
+        told = self._counted[repetitions]
+        return Found(min(told.counts[place] for place in self.sought), told.experiments)
 
     def settled(self, repetitions: int) -> Found:
         """Simulate until the power is clearly above or below the target, up to the limit."""
         experiments = self.fewest
         self.grow(repetitions, experiments)
-        while self._done[repetitions] < self._most:
+        while self._counted[repetitions].experiments < self._most:
             low, high = self.least(repetitions).interval
             if not low <= self._search.power <= high:
                 break
@@ -281,11 +274,11 @@ class _Curve:
             PowerPoint(
                 repetitions,
                 self._study.runs(repetitions),
-                tuple(Found(count, self._done[repetitions]) for count in self._counts[repetitions][:-1]),
+                tuple(Found(count, told.experiments) for count in told.counts[:-1]),
                 self.least(repetitions),
-                Found(self._counts[repetitions][-1], self._done[repetitions]),
+                Found(told.counts[-1], told.experiments),
             )
-            for repetitions in sorted(self._counts)
+            for repetitions, told in sorted(self._counted.items())
         )
 
 
@@ -330,11 +323,7 @@ def _place_of(claims: Sequence[Claim], name: str) -> int:
 
 
 def _refuse_nothing(study: Study, scenario: Scenario, claim: Claim) -> None:
-    """Refuse to search for an effect that is 0 by the assumptions.
-
-    Raises:
-        AnalysisError: all treatments have the same mean.
-    """
+    """Refuse to search for an effect that is 0 by the assumptions."""
     factors = claim.key[1] or {
         name
         for each in (study.plan.hypotheses if study.plan is not None else ())

@@ -54,9 +54,6 @@ class Claim(NamedTuple):
 
     Attributes:
         key: its key in families of tests.
-        label: in words.
-        measure: its measure.
-        is_hypothesis: whether it is a hypothesis of the plan.
     """
 
     key: Key
@@ -103,23 +100,15 @@ class Simulation:
     """
 
     def __init__(
-        self,
-        study: Study,
-        scenario: Scenario,
-        repetitions: int,
-        *,
-        seed: Sequence[int],
-        first_batch: int | None = None,
+        self, study: Study, scenario: Scenario, repetitions: int, *, seed: Sequence[int], first_batch: int | None = None
     ) -> None:
-        self._study = study
-        self._plan = study.plan
+        self._study, self._plan = study, study.plan
         self._repetitions, self._first_batch = repetitions, first_batch
         self._seed = (*seed, repetitions)
         self._cells: tuple[Cell, ...] = tuple(study.cells[place] for place in study.cells_of(repetitions))
-        plan = study.plan
-        self._choices = (
-            Choices() if plan is None else Choices(plan.alpha, plan.correction, plan.estimand, plan.statistic)
-        )
+        self._choices = Choices()
+        if plan := study.plan:
+            self._choices = Choices(plan.alpha, plan.correction, plan.estimand, plan.statistic)
         self._measures = self._prepared(scenario)
         self.is_slow = not all(map(self._is_fast, self._measures))
 

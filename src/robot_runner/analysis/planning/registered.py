@@ -91,28 +91,23 @@ def _made_too_late(changes: Any) -> Registered | None:
 
 def _deviations(found: Registration, results: Results, statistics: ExperimentStatistics) -> Iterator[str]:
     manifest, content = results.manifest, found.content
+    design, stated = _first_design(manifest), content["design"]
+    if "excluded" in stated:  # which only the registration has: combinations are compared with the run table
+        design["excluded"] = stated["excluded"]
+    design["units"] = {name: results.unit(name) for name in stated.get("units", ()) if name in results.columns}
     now: dict[str, Any] = {
-        "design": {**_first_design(manifest), **_not_in_manifest(content["design"]), "units": _units(content, results)},
+        "design": design,
         "seed": manifest.get("seed"),
         "analysis": manifest.get("analysis"),
         "repeat_until": manifest.get("repeat_until"),
         "measures": [{"name": name, "unit": results.unit(name)} for name in results.measures],
     }
     yield from differences(content, json.loads(json.dumps(now, default=str)))
-    yield from _of_combinations(content["design"], results)
+    yield from _of_combinations(stated, results)
     yield from _of_config(content["config"], results)
     yield from _of_execution(found, results)
     yield from _of_runs(results)
     yield from _of_analysis(statistics, results)
-
-
-def _not_in_manifest(design: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the part of a design that only the registration has; combinations are compared with the run table."""
-    return {"excluded": design["excluded"]} if "excluded" in design else {}
-
-
-def _units(content: Mapping[str, Any], results: Results) -> dict[str, str]:
-    return {name: results.unit(name) for name in content["design"].get("units", ()) if name in results.columns}
 
 
 def _first_design(manifest: Mapping[str, Any]) -> dict[str, Any]:
@@ -167,7 +162,8 @@ def _of_execution(found: Registration, results: Results) -> Iterator[str]:
     manifest = results.manifest
     executions = manifest.get("executions") or [{}]
     if str(executions[0].get("started_at", "9")) < found.registered_at:
-        yield "it was registered after the first run"
+        # Only the first execution keeps a registration, and so it began later.
+        yield "by its time it was registered after the first run, which had it: a clock was wrong, or a file was edited"
     if manifest.get("registration_changes"):
         yield "another registration took the place of this one after runs had been executed, and does not count"
     if manifest.get("analysis_changes"):

@@ -6,11 +6,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-import numpy as np
-
-from robot_runner.analysis.recomputing.reported import Number, Reported
+from robot_runner.analysis.recomputing.reported import Number, Reported, attributes, ends
 from robot_runner.analysis.run_frame import treatment_texts
-from robot_runner.analysis.statistics.designed_columns import numbers_of_levels, residual_effects
+from robot_runner.analysis.statistics.designed_columns import numbers_of_levels, residual_effects, telling_covariates
 from robot_runner.core.design.analysis_plan import ORDER
 
 if TYPE_CHECKING:
@@ -67,7 +65,6 @@ class SurfaceFacts:
         others: the factors that are not numeric.
         reported: its coefficients.
         whole: its lack of fit, its share of the variance and its stationary point.
-        has_stationary: whether there is a stationary point.
     """
 
     coding: Mapping[str, tuple[float, float]]
@@ -83,7 +80,7 @@ def designed_facts(data: MeasureData, results: Results) -> Designed | None:
     known, factors = data.known, data.treatments
     if known.is_plain or factors.conditions or data.lacking:
         return None
-    covariates = tuple(name for name in data.covariates if _is_told(data, name))
+    covariates = tuple(name for name, _ in telling_covariates(data))
     if not all(name in results.measures or (name == ORDER and name not in results.runs) for name in covariates):
         return None
     effects, before = residual_effects(data), None
@@ -102,11 +99,6 @@ def designed_facts(data: MeasureData, results: Results) -> Designed | None:
     )
 
 
-def _is_told(data: MeasureData, name: str) -> bool:
-    covariate = data.covariate(name)
-    return bool(np.isfinite(covariate).all() and np.ptp(covariate) > 0)
-
-
 def _ends(levels: list[str]) -> tuple[float, float]:
     numbers = numbers_of_levels(levels) or [0.0]
     return (max(numbers) + min(numbers)) / 2, (max(numbers) - min(numbers)) / 2 or 1.0
@@ -114,17 +106,8 @@ def _ends(levels: list[str]) -> tuple[float, float]:
 
 def surface_facts(surface: Surface) -> SurfaceFacts:
     """Return the facts of a response surface."""
-    rows: list[tuple[str, Mapping[str, Number]]] = [
-        (
-            each.label,
-            {
-                "estimate": each.estimate,
-                "low": each.interval.low,
-                "high": each.interval.high,
-                "statistic": each.statistic,
-                "p": each.p_value,
-            },
-        )
+    rows = [
+        (each.label, attributes(each, "estimate") | ends(each.interval) | attributes(each, "statistic", p="p_value"))
         for each in surface.coefficients
     ]
     whole: dict[str, Number] = {"R squared": surface.r_squared}
@@ -133,8 +116,7 @@ def surface_facts(surface: Surface) -> SurfaceFacts:
     if (point := surface.stationary) is not None:
         whole |= {f"at {name}": each for name, each in point.at.items()} | {"value": point.value}
         for place, (curvature, interval) in enumerate(point.curvatures, start=1):
-            found = {f"curvature {place}": curvature, f"low {place}": interval.low, f"high {place}": interval.high}
-            whole |= found
+            whole |= {f"curvature {place}": curvature, f"low {place}": interval.low, f"high {place}": interval.high}
     return SurfaceFacts(
         coding=surface.coding,
         terms=tuple(each.term for each in surface.coefficients if each.term),

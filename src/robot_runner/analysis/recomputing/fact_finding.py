@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 from robot_runner.analysis.recomputing.designed_facts import Designed, designed_facts
 from robot_runner.analysis.recomputing.measure_facts import facts_of_measure
-from robot_runner.analysis.recomputing.reported import Number, Reported
+from robot_runner.analysis.recomputing.reported import Number, Reported, ends
 from robot_runner.analysis.recomputing.study_facts import (
     Adjustment,
     FactorColumn,
@@ -55,14 +55,8 @@ def facts_of_study(
 ) -> StudyFacts:
     """Return the facts of a study for a recomputation.
 
-    Args:
-        results: the experiment.
-        folder: the folder of the script.
-        measures: the measures of the report; None for all. Primary measures of the plan are added, as the error rate is
-            controlled over these.
-        alpha: the level of significance; None for that of the plan, or 0.05.
-        plan: replaces the plan that was fixed before the experiment.
-        made: when and by which version the script was made.
+    Measures, alpha and plan are those of the report, and `folder` is that of the script, with `made`: when and by which
+    version. Primary measures of the plan are added, as the error rate is controlled over these.
 
     Raises:
         StorageError: the run table cannot be read.
@@ -201,7 +195,7 @@ def _keys(measure: MeasureStatistics, facts: MeasureFacts | None) -> Iterator[tu
     """Yield the key of each test of a measure with a p-value, in the statistics and in the script."""
     if facts is None:
         return
-    for effect in measure.test.effects if measure.test is not None else ():
+    for effect in measure.effects:
         if effect.p_value is not None:
             yield effect_key(measure.name, effect.factors), facts.effect_keys[effect.factors]
     for each in measure.contrasts:
@@ -218,8 +212,7 @@ def _adjusted(statistics: ExperimentStatistics, facts: Mapping[tuple[str, Beside
             found = facts.get((measure.name, beside))
             if found is None:
                 continue
-            effects = measure.test.effects if measure.test is not None else ()
-            rows += [(found.effect_keys[each.factors], each.adjusted_p_value) for each in effects]
+            rows += [(found.effect_keys[each.factors], each.adjusted_p_value) for each in measure.effects]
             rows += [
                 (found.contrast_keys[each.statement], adjusted.get((each.statement, beside)))
                 for each in measure.contrasts
@@ -260,12 +253,10 @@ def _correlations(statistics: ExperimentStatistics, *, is_known: bool) -> Report
     """Return the correlations; those within treatments only if scripts support the model of the residuals."""
     rows: list[tuple[str, dict[str, Number]]] = []
     for each in statistics.correlations:
-        ends = each.pearson_interval
         row: dict[str, Number] = {
             "n": each.n,
             "Pearson's r": each.pearson,
-            "r low": None if ends is None else ends.low,
-            "r high": None if ends is None else ends.high,
+            **ends(each.pearson_interval, "r "),
             "Spearman's rho": each.spearman,
             "p": each.p_value,
             "adjusted p": each.adjusted_p_value,

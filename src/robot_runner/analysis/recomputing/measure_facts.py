@@ -50,9 +50,8 @@ from robot_runner.core.design.columns import RUN_ID
 if TYPE_CHECKING:
     from robot_runner.analysis.statistics.analysed_design import Design, MeasureData
     from robot_runner.analysis.statistics.outcome import Description, MeasureStatistics, Proportion
+    from robot_runner.analysis.statistics.tests import UnadjustedModel
     from robot_runner.core.design.hypothesis import Hypothesis
-
-    Model = CellMeans | FittedModel | StrataModel | LenthModel | SurfaceModel
 
 #: The procedure of each test of the report, by the test's name in the report.
 _PROCEDURES = {
@@ -73,8 +72,6 @@ _PROCEDURES = {
     "response surface": "model",
     LENTH: "lenth",
 }
-#: The models that scripts can fit; for others they take the p-values from the report.
-_KNOWN = (CellMeans, FittedModel, StrataModel, LenthModel, SurfaceModel)
 #: The most combinations of the factors of a fraction that scripts can handle.
 _MOST_CELLS = 5_000
 _OF_BLOCKS, _BOOTSTRAP = " of blocks", ", parametric bootstrap"
@@ -93,8 +90,7 @@ def facts_of_measure(
     data = design.data(measure.name) or design.answers(measure.name)
     assert data is not None  # noqa: S101 - it has statistics
     label = f"{measure.name} {beside}".rstrip()
-    effects = measure.test.effects if measure.test is not None else ()
-    effect_keys = {effect.factors: key_of(f"{label}: {effect.label}") for effect in effects}
+    effect_keys = {effect.factors: key_of(f"{label}: {effect.label}") for effect in measure.effects}
     contrast_keys = {each.statement: key_of(f"{label}: {each.statement}") for each in measure.contrasts}
     levels = level_of_looks(design.results, measure.name)
     residuals = about_residuals(measure)
@@ -111,7 +107,7 @@ def facts_of_measure(
         compared = _compared(data, measure, choices, hypotheses, effect_keys, contrast_keys, designed)
         left = [] if compared is not None else _not_recomputed(measure)
     if left:
-        p_values = {effect_keys[each.factors]: each.p_value for each in effects}
+        p_values = {effect_keys[each.factors]: each.p_value for each in measure.effects}
         p_values |= {contrast_keys[each.statement]: each.p_value for each in measure.contrasts}
         taken = {key: value for key, value in p_values.items() if value is not None}
     return MeasureFacts(
@@ -163,28 +159,19 @@ def _answered(
     are_by_score = is_exact or measure.test is None
     known = {each.statement for each in measure.contrasts} if are_by_score else set()
     stated = [each for each in hypotheses if each.statement in known]
-    effects = measure.test.effects if measure.test is not None and is_exact else ()
     post_hoc = measure.post_hoc if is_exact else ()
-    tested = [each for each in effects if each.p_value is not None]
+    tested = [each for each in measure.effects if each.p_value is not None and is_exact]
     # P-values for three or more treatments are random.
     drawn = {each.factors: each.p_value for each in tested if len(data.levels(each.factors[0])) > _PAIR}
     rows = [
-        (
-            each.label,
-            {"statistic": each.statistic, **freedom_row(each.degrees_of_freedom, ""), "p": each.p_value},
-        )
+        (each.label, {"statistic": each.statistic, **freedom_row(each.degrees_of_freedom, ""), "p": each.p_value})
         for each in tested
     ]
     return Answered(
         is_blocked=data.is_blocked,
         is_extended=data.is_extended,
         effects=tuple(
-            (
-                each.factors[0],
-                tuple(data.others(each.factors)),
-                effect_keys[each.factors],
-                drawn.get(each.factors),
-            )
+            (each.factors[0], tuple(data.others(each.factors)), effect_keys[each.factors], drawn.get(each.factors))
             for each in tested
         ),
         tested=Reported.of(rows),
@@ -199,8 +186,7 @@ def _of_proportions(data: MeasureData, hypothesis: Hypothesis, choices: Choices,
     levels = {name: data.levels(name) for name in data.factors}
     found = _contrasted(hypothesis, levels, choices, key)
     most = most_runs(data, found.weights, hypothesis)
-    others = tuple(data.others(hypothesis.factors))
-    return replace(found, others=others, most=most if isfinite(most) else None)
+    return replace(found, others=tuple(data.others(hypothesis.factors)), most=most if isfinite(most) else None)
 
 
 def _not_recomputed(measure: MeasureStatistics) -> list[Reported]:
@@ -224,9 +210,9 @@ def _compared(
     used, _, _ = comparable(data)
     model = model_of(used, choices.estimand, choices.statistic)
     beside = model_of(used, check_estimand(choices.estimand), choices.statistic)
-    if (nested := used.treatments.conditions) and not _is_known(model):
+    if measure.test is None or isinstance(model, NotComputed):
         return None
-    if measure.test is None or not isinstance(model, _KNOWN) or not isinstance(beside, (*_KNOWN, NotComputed)):
+    if (nested := used.treatments.conditions) and not _is_known(model):
         return None
     if designed is not None and not _is_designed(model, measure):
         return None
@@ -235,7 +221,7 @@ def _compared(
         _effect(each, effect_keys[each.factors], tested[each.factors], checked.get(each.factors, ""), used)
         for each in measure.test.effects
     ]
-    levels = _levels(model)
+    levels = model.factors
     of = "means" if choices.estimand is Estimand.RANK else "ranks"
     by_statement = {each.statement: each for each in hypotheses}
     is_blocked = isinstance(model, CellMeans) and model.layout.is_blocked
@@ -283,7 +269,7 @@ def _reduced_by(data: MeasureData, model: StrataModel) -> tuple[str, ...]:
     return tuple(name for name in data.known.columns if not (model.is_of_units and name == data.known.period))
 
 
-def _is_designed(model: Model, measure: MeasureStatistics) -> bool:
+def _is_designed(model: UnadjustedModel, measure: MeasureStatistics) -> bool:
     """Return whether scripts support the model of a special design."""
     if isinstance(model, CellMeans):
         return prod(map(len, model.layout.factors.values())) <= _MOST_CELLS
@@ -297,15 +283,11 @@ def _is_known(model: object) -> bool:
     return model.layout.inverse is None and not (model.layout.is_blocked and model.layout.between)
 
 
-def _terms(model: Model) -> tuple[tuple[bool, ...], ...]:
+def _terms(model: UnadjustedModel) -> tuple[tuple[bool, ...], ...]:
     """Return the effects of an incomplete factorial; empty for any other."""
     if not isinstance(model, CellMeans) or not model.layout.has_gaps:
         return ()
     return tuple(tuple(name in term for name in model.layout.factors) for term in model.layout.terms)
-
-
-def _levels(model: Model) -> dict[str, list[str]]:
-    return {name: list(of) for name, of in (model.layout if isinstance(model, CellMeans) else model).factors.items()}
 
 
 def _effect(effect: Effect, key: str, tested: str, checked: str, data: MeasureData) -> TestedEffect:
@@ -331,7 +313,7 @@ def _levels_of(effect: Effect, data: MeasureData) -> tuple[tuple[str, tuple[str,
     return tuple(zip(effect.factors, map(tuple, treatments.levels(effect.factors)), strict=True))
 
 
-def _procedures(model: Model | NotComputed) -> dict[tuple[str, ...], str]:
+def _procedures(model: UnadjustedModel | NotComputed) -> dict[tuple[str, ...], str]:
     """Return the name of the test of each effect, without "of blocks"."""
     if isinstance(model, NotComputed):
         return {}
@@ -339,12 +321,12 @@ def _procedures(model: Model | NotComputed) -> dict[tuple[str, ...], str]:
         return {each.factors: each.test.replace(_OF_BLOCKS, "") for each in model.effects()}
 
 
-def _is_uniform(model: Model | NotComputed) -> bool:
+def _is_uniform(model: UnadjustedModel | NotComputed) -> bool:
     """Return whether all combinations vary, as the functions of R and scipy assume."""
     return not isinstance(model, CellMeans) or bool(np.all(np.einsum("gcc->gc", model.moments.errors) > 0))
 
 
-def _left_out(data: MeasureData, model: Model) -> tuple[str, ...]:
+def _left_out(data: MeasureData, model: UnadjustedModel) -> tuple[str, ...]:
     of = model.layout if isinstance(model, CellMeans) else model
     rows = of.left_out if isinstance(of, Layout | StrataModel) else ()
     return tuple(data.frame[RUN_ID].iloc[list(rows)])

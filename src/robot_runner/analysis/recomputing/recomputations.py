@@ -35,10 +35,10 @@ def r_script(study: StudyFacts) -> str:
         separator=lambda is_last: Code("" if is_last else ","),
         chosen=_chosen,
         which_of=_which_of,
-        coding=_r_coding,
+        coding=lambda of: _r_list(of.items()),
         weights=_weights,
-        treatments=_r_treatments,
-        conditions=_r_conditions,
+        treatments=_r_list,
+        conditions=lambda of: _r_list(of, _r_list),
         applied=lambda study, factors: Code(
             f"every[{_r_applied(factors)}, ]" if study.is_conditional(factors) else "every"
         ),
@@ -46,16 +46,8 @@ def r_script(study: StudyFacts) -> str:
     )
 
 
-def _r_treatments(of: Sequence[tuple[str, Sequence[str]]]) -> Code:
-    return Code(f"list({', '.join(f'{r_literal(name)} = {r_literal(list(levels))}' for name, levels in of)})")
-
-
-def _r_coding(of: Mapping[str, tuple[float, float]]) -> Code:
-    return Code(f"list({', '.join(f'{r_literal(name)} = {r_literal(ends)}' for name, ends in of.items())})")
-
-
-def _r_conditions(of: Sequence[tuple[str, Sequence[tuple[str, Sequence[str]]]]]) -> Code:
-    return Code(f"list({', '.join(f'{r_literal(name)} = {_r_treatments(parents)}' for name, parents in of)})")
+def _r_list(of: Iterable[tuple[str, Any]], literal: Callable[[Any], Code] = r_literal) -> Code:
+    return Code(f"list({', '.join(f'{r_literal(name)} = {literal(each)}' for name, each in of)})")
 
 
 def _r_applied(factors: Sequence[str]) -> Code:
@@ -75,7 +67,6 @@ def _chosen(treatments: Mapping[str, str]) -> Code:
 
 
 def _which_of(effect: TestedEffect, names: Sequence[str]) -> Code:
-    """Return, for each factor, whether it is in an effect."""
     return r_literal([name in effect.factors for name in names]) if names else Code("logical()")
 
 
@@ -111,9 +102,7 @@ def cells_of(study: StudyFacts) -> list[tuple[str, str]]:
         levels=_levels,
         terms=lambda it: Code(f"[{', '.join(_names(effect.factors) for effect in it.effects)}]"),
         treatments=lambda of: _mapping(dict(of)),
-        conditions=lambda of: Code(
-            f"{{{', '.join(f'{python_literal(name)}: {_mapping(dict(parents))}' for name, parents in of)}}}"
-        ),
+        conditions=lambda of: _mapping({name: dict(parents) for name, parents in of}, _mapping),
         applied=lambda study, factors: Code(
             f"every[{_applied(factors)}]" if study.is_conditional(factors) else "every"
         ),
@@ -140,12 +129,11 @@ def _python_table(reported: Reported) -> Code:
     return Code(f"reported(\n    {python_literal(reported.columns)},\n{''.join(rows)})")
 
 
-def _mapping(of: Mapping[str, object]) -> Code:
-    return Code(f"{{{', '.join(f'{python_literal(key)}: {python_literal(value)}' for key, value in of.items())}}}")
+def _mapping(of: Mapping[str, Any], literal: Callable[[Any], Code] = python_literal) -> Code:
+    return Code(f"{{{', '.join(f'{python_literal(key)}: {literal(value)}' for key, value in of.items())}}}")
 
 
 def _levels(names: Iterable[str], it: Compared) -> Code:
-    """Return the treatments of some factors, by factor."""
     return _mapping({name: levels for name, levels in it.factors if name in set(names)})
 
 
@@ -166,13 +154,8 @@ def _common(
 ) -> dict[str, Any]:
     """Return the context for the templates of both languages; procedures have the same names in both.
 
-    Args:
-        study: the facts.
-        level: the argument for the level of an interval, if it is not the default.
-        literal: writes a value as a literal of the language.
-        iterated: the argument for the tolerance of iterative estimates.
-        nothing: the null value of the language.
-        function: the pattern of a function of `groups` and `contrasts`.
+    The arguments are those for the level of an interval, if it is not the default, and for the tolerance of iterative
+    estimates; the null value of the language, and the pattern of a function of `groups` and `contrasts`.
     """
     of = partial(_called, nothing, function)
     return {
@@ -236,8 +219,6 @@ def write_recomputations(
     make_folder(folder, root)
     made = made_by("Report", datetime.now(UTC))
     study = facts_of_study(results, folder, measures=measures, alpha=alpha, plan=plan, made=made)
-    written = []
     for kind in kinds:
-        written.append(folder / kind.value)
         replace(folder / kind.value, _CODE[kind](study), root)
-    return tuple(written)
+    return tuple(folder / kind.value for kind in kinds)

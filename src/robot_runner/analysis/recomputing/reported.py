@@ -44,14 +44,15 @@ class Reported:
         return [float(value) for _, row in self.rows for value in row if value is not None]
 
 
-def _numbers(of: Any, *names: str, **others: str) -> Row:
+def attributes(of: Any, *names: str, **others: str) -> Row:
     """Return attributes by their names, with spaces for underscores, or by other given names."""
     return {name.replace("_", " "): getattr(of, name) for name in names} | {
         name: getattr(of, attribute) for name, attribute in others.items()
     }
 
 
-def _ends(interval: Interval | None, of: str = "") -> Row:
+def ends(interval: Interval | None, of: str = "") -> Row:
+    """Return the ends of an interval, by names with a prefix."""
     low, high = (None, None) if interval is None else (interval.low, interval.high)
     return {f"{of}low": low, f"{of}high": high}
 
@@ -59,10 +60,12 @@ def _ends(interval: Interval | None, of: str = "") -> Row:
 def described_row(of: Description | Proportion) -> Row:
     """Return the descriptive statistics of a group of runs."""
     if isinstance(of, Proportion):
-        return _numbers(of, "n", "missing", "count", "percent") | _ends(of.interval)
-    row = _numbers(of, "n", "missing", "mean", "sd", "minimum", "first_quartile", "median", "third_quartile", "maximum")
+        return attributes(of, "n", "missing", "count", "percent") | ends(of.interval)
+    row = attributes(
+        of, "n", "missing", "mean", "sd", "minimum", "first_quartile", "median", "third_quartile", "maximum"
+    )
     found = {"outliers": len(of.outliers), "extreme": sum(each.is_extreme for each in of.outliers)}
-    return row | _ends(of.mean_interval) | found
+    return row | ends(of.mean_interval) | found
 
 
 def about_residuals(measure: MeasureStatistics) -> dict[str, Reported]:
@@ -70,19 +73,19 @@ def about_residuals(measure: MeasureStatistics) -> dict[str, Reported]:
     checks = [
         (
             f"{each.name}, {combination_label(each.treatments.values()) or 'all groups'}",
-            _numbers(each, "statistic", p="p_value"),
+            attributes(each, "statistic", p="p_value"),
         )
         for each in measure.assumptions
     ]
     tables = {"distribution": Reported.of(checks), **dict.fromkeys(("quantiles", "drift", "power"), Reported())}
     if (line := measure.quantiles) is not None:
-        tables["quantiles"] = Reported.of([("reference line", _numbers(line, "slope", "intercept"))])
+        tables["quantiles"] = Reported.of([("reference line", attributes(line, "slope", "intercept"))])
     if (drift := measure.drift) is not None:
-        row = _numbers(drift, rho="correlation", p="p_value", slope="slope") | _ends(drift.slope_interval)
+        row = attributes(drift, rho="correlation", p="p_value", slope="slope") | ends(drift.slope_interval)
         tables["drift"] = Reported.of([("over the order of execution", row)])
     if (power := measure.power) is not None:
         row = {f"runs for {each.effect_size:g}": each.repetitions for each in power.needed}
-        tables["power"] = Reported.of([(power.effect_name, _numbers(power, "detectable_effect") | row)])
+        tables["power"] = Reported.of([(power.effect_name, attributes(power, "detectable_effect") | row)])
     return tables
 
 
@@ -96,7 +99,7 @@ def tested_table(measure: MeasureStatistics, of: str) -> Reported:
 def contrasts_table(measure: MeasureStatistics) -> Reported:
     """Return the contrasts of hypotheses."""
     rows = [
-        (each.statement, _numbers(each, "estimate") | _ends(each.interval) | _numbers(each, "statistic", **_TEST))
+        (each.statement, attributes(each, "estimate") | ends(each.interval) | attributes(each, "statistic", **_TEST))
         for each in measure.contrasts
     ]
     return Reported.of(rows)
@@ -125,12 +128,12 @@ def freedom_row(freedom: Sequence[float], of: str) -> Row:
 
 
 def _size(size: EffectSize, name: str) -> Row:
-    return {name: size.value, **_ends(size.interval, f"{name} ")}
+    return {name: size.value, **ends(size.interval, f"{name} ")}
 
 
 def pair_row(pair: Comparison, of: str) -> Row:
     """Return the comparison of two groups, with its check of `ranks` or `means`."""
-    row = _numbers(pair, "difference") | _ends(pair.interval) | _numbers(pair, "statistic", **_TEST)
+    row = attributes(pair, "difference") | ends(pair.interval) | attributes(pair, "statistic", **_TEST)
     row |= {f"p of {of}": pair.check_p_value}
     for size in pair.effect_sizes:
         row |= _size(size, size.name)

@@ -211,7 +211,6 @@ class MeasureFacts:
 
     Attributes:
         key: its unique name: the measure and the analysis.
-        factors: the varied factors.
         left_out: the runs whose values are left out.
         distributed: the checks of distribution assumptions; `distribution` is the table of their results.
         compared: the comparisons; None if there are none, or if scripts do not support them.
@@ -219,8 +218,6 @@ class MeasureFacts:
         taken: p-values of tests that are not recomputed, by their keys.
         skipped: how many numbers of the report are not recomputed.
         level: of the interval of a mean: above 0.95 if runs were added until it was narrow.
-        answered: the facts of a yes-or-no measure.
-        designed: the model of a special design.
     """
 
     key: str
@@ -277,13 +274,10 @@ class StudyFacts:
         blocks_are_of_batches: whether the numbers of blocks begin anew in each batch.
         units: without blocks, the columns of the experimental unit of a run; empty for independent runs.
         batch: the column of the batches; empty without batches.
-        families: the families of tests.
-        adjusted: the adjusted p-values.
         correlated: the pairs of correlated measures, each with its factors.
         without_within: the number of pairs whose correlation within treatments scripts do not support.
         correlated_designs: for a special design, the correlated measures with their factors and models.
         correlated_without: the correlated measures with values that are left out, with the runs of these.
-        conditional: the conditional factors.
         possible: the number of possible combinations; None without conditional factors.
     """
 

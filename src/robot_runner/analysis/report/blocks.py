@@ -127,9 +127,8 @@ class Table:
         """Return the table without those of these columns whose cells are all blank or 0."""
         cells = zip(*self.rows, strict=True) if self.rows else ((),) * len(self.columns)
         is_blank = [all(cell.value in {None, "", 0} for cell in column) for column in cells]
-        return self._only(
-            [column.name not in names or not blank for column, blank in zip(self.columns, is_blank, strict=True)]
-        )
+        columns = zip(self.columns, is_blank, strict=True)
+        return self._only([column.name not in names or not blank for column, blank in columns])
 
     def _only(self, kept: Sequence[bool]) -> Table:
         rows = tuple(tuple(compress(row, kept)) for row in self.rows)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from operator import attrgetter
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import pandas as pd
 
@@ -91,21 +92,17 @@ def _facts(material: Material) -> Iterator[tuple[str, str]]:
 
 def order_in_words(material: Material) -> str:
     """Return the origin of the order of the runs in words, and how many runs were executed out of it."""
-    moved = moved_in_words(material.moved, material.executed)
-    return f"{_order_of_table(material)}; {moved}" if moved else _order_of_table(material)
-
-
-def _order_of_table(material: Material) -> str:
     design = material.manifest("design", default={})
+    order = _planned_order(material, design)
     if design.get("source") == "run_table.csv":
-        return "as in a run table that was made by hand"
-    if design.get("is_reordered"):
-        return f"changed by hand in run_table.csv; planned: {_planned_order(material, design)}"
-    return _planned_order(material, design)
+        order = "as in a run table that was made by hand"
+    elif design.get("is_reordered"):
+        order = f"changed by hand in run_table.csv; planned: {order}"
+    moved = moved_in_words(material.moved, material.executed)
+    return f"{order}; {moved}" if moved else order
 
 
 def _batches(material: Material) -> Iterator[tuple[str, str]]:
-    """Yield a description of each batch of an extended experiment."""
     if decides := material.manifest("design", "facts", "decides", default=""):
         yield "Decided while it was executed", sentence(str(decides))
     for batch in material.manifest("design", "batches", default=[])[1:]:
@@ -135,7 +132,10 @@ def _executions(executions: list[Mapping[str, Any]]) -> str:
     ends = [each["finished_at"] for each in executions if each.get("finished_at")]
     until = f" to {shown_stamp(ends[-1])}" if ends else ", and was not ended"
     times = "" if len(executions) == 1 else f", in {len(executions)} executions"
-    return f"{shown_stamp(first)}{until}{times}"
+    stamps = [stamp for each in executions for stamp in map(each.get, ("started_at", "finished_at")) if stamp]
+    moments = pd.to_datetime(stamps, utc=True, format="ISO8601", errors="coerce").dropna()
+    set_back = "; the stamps go back: a clock was set, or another machine's differs"
+    return f"{shown_stamp(first)}{until}{times}{'' if moments.is_monotonic_increasing else set_back}"
 
 
 def _factor_table(material: Material) -> Table:
@@ -184,6 +184,10 @@ def _machine(material: Material) -> Iterator[tuple[str, str]]:
     host, software = (material.manifest(key, default={}) for key in ("host", "software"))
     if material.is_imported:
         yield "Machine", "not recorded: the runs were executed elsewhere"
+    if workers := material.results.attempts.attrs["workers"]:
+        names = listed(sorted(set(workers.values())))
+        executed = f"{counted(len(workers), 'run')} on workers of a cluster, whose machines are not recorded: {names}"
+        yield "Machine", f"described here is the one that directed {executed}"
     if host:
         yield "System", " ".join(str(host[key]) for key in ("system", "release", "machine") if host.get(key))
         cores, memory = host.get("cores"), host.get("memory_bytes")
@@ -194,9 +198,8 @@ def _machine(material: Material) -> Iterator[tuple[str, str]]:
             yield "Processor", ", ".join(filter(None, parts))
     if software.get("robot_runner"):
         yield "Robot Runner", str(software["robot_runner"])
-    commits = dict.fromkeys(
-        shown_commit(each.get("repository")) for each in material.manifest("executions", default=[])
-    )
+    executions = material.manifest("executions", default=[])
+    commits = dict.fromkeys(shown_commit(each.get("repository")) for each in executions)
     if any(commits):
         yield "Config's repository", "; ".join(filter(None, commits))
     for factor, revisions in material.manifest("revisions", default={}).items():
@@ -230,7 +233,6 @@ def _part(material: Material, measure: MeasureStatistics) -> Part:
 
 
 def _precision_blocks(known: KnownPrecision, label: str) -> Iterator[Block]:
-    """Yield the precision of a measure for which combinations were repeated."""
     yield Paragraph(known.sentence, Tone.PLAIN if known.is_reached else Tone.WARNING, lead="Precision.")
     if not known.differences:
         return
@@ -254,8 +256,7 @@ def _description_tables(material: Material, measure: MeasureStatistics, label: s
         if groups:
             yield table(f"{name} by {factor}", f"{label} by {factor}.", factor, groups)
     if of.by_combination:
-        heading = JOINT.join(of.by_combination[0].treatments)
-        yield table(name, f"{label} by combination.", heading, of.by_combination)
+        yield table(name, f"{label} by combination.", JOINT.join(of.by_combination[0].treatments), of.by_combination)
     elif not of.by_treatment and of.overall is not None:
         yield table(name, f"{label}, all runs.", "Group", [of.overall])
 
@@ -342,10 +343,11 @@ def searched_part(material: Material) -> Iterator[Part]:
     if plan is not None and plan.doubtful is Doubtful.LEAVE_OUT:
         runs, left_out = _without_doubtful(runs, results, measures)
         note += f" {sentence(counted(left_out, 'doubtful value'))} left out, as planned." * bool(left_out)
-    tried = [_tried(treatments, own, measures) for treatments, own in runs.groupby(factors, observed=True, sort=False)]
-    tried.sort(key=lambda each: each["place"])
+    by_combination = runs.groupby(factors, observed=True, sort=False)
+    tried = [_tried(treatments, own, measures) for treatments, own in by_combination]
+    tried.sort(key=attrgetter("place"))
     columns = [text(name, _reader("treatments", place)) for place, name in enumerate(factors)]
-    columns += [number("Runs done", lambda each: each["done"])]
+    columns += [number("Runs done", "done")]
     columns += [number(results.label(name), _reader("means", place)) for place, name in enumerate(measures)]
     table = build_table("searched", "What was tried in search of the best.", tried, columns, note)
     yield Part("design-searched", "What was tried", (table,), is_folded=len(tried) > _FEW)
@@ -367,16 +369,21 @@ def _without_doubtful(runs: pd.DataFrame, results: Results, measures: list[str])
     return without, count
 
 
-def _tried(treatments: tuple[Any, ...], runs: pd.DataFrame, measures: list[str]) -> dict[str, Any]:
+class _Tried(NamedTuple):
+    """A combination: the number of its runs that are done, their means, and the place of its first run."""
+
+    treatments: list[str]
+    done: int
+    means: list[float | None]
+    place: int
+
+
+def _tried(treatments: tuple[Any, ...], runs: pd.DataFrame, measures: list[str]) -> _Tried:
     done = runs[runs[STATUS] == RunStatus.DONE.value]
-    means = [pd.to_numeric(done[name], errors="coerce").mean() for name in measures]
-    return {
-        "treatments": [str(each) for each in treatments],
-        "done": len(done),
-        "means": [None if pd.isna(mean) else float(mean) for mean in means],
-        "place": runs.index[0],
-    }
+    means = (pd.to_numeric(done[name], errors="coerce").mean() for name in measures)
+    known = [None if pd.isna(mean) else float(mean) for mean in means]
+    return _Tried([str(each) for each in treatments], len(done), known, runs.index[0])
 
 
-def _reader(part: str, place: int) -> Any:
-    return lambda each: each[part][place]
+def _reader(part: str, place: int) -> Callable[[_Tried], Any]:
+    return lambda tried: getattr(tried, part)[place]

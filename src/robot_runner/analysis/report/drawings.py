@@ -125,7 +125,8 @@ def _small_path(text: str, steps: float, step: float) -> str:
         numbers = [round(float(next(tokens)) * steps) for _ in range(count)]
         base = (0, 0) if command == "M" else at
         shown = [_shown((each - base[place % 2]) * step) for place, each in enumerate(numbers)]
-        written.append(_joined(shown, "M" if command == "M" else command.lower() if command != last else " "))
+        letter = "M" if command == "M" else command.lower() if command != last else " "
+        written.append((letter + " ".join(shown)).replace(" -", "-"))  # no blank is needed before a minus sign
         at = (numbers[-2], numbers[-1]) if numbers else start
         start = at if command == "M" else start
         last = command
@@ -134,8 +135,3 @@ def _small_path(text: str, steps: float, step: float) -> str:
 
 def _shown(number: float) -> str:
     return f"{number:g}".replace("0.", ".", 1) if abs(number) < 1 else f"{number:g}"
-
-
-def _joined(numbers: list[str], command: str) -> str:
-    """Return a command with its numbers; a blank before a minus sign is not needed."""
-    return (command + " ".join(numbers)).replace(" -", "-")

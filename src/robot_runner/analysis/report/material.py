@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.analysis.planning.registered import Registered, registered
@@ -174,8 +174,8 @@ class Material:
         if not factors:
             return dict.fromkeys(self.results.all_runs[RUN_ID], ALL_RUNS)
         runs = self.results.all_runs
-        texts = zip(*(runs[name].astype("str") for name in factors), strict=True)
-        return dict(zip(runs[RUN_ID], map(combination_label, texts), strict=True))
+        texts = zip(*(runs[name].astype("str").tolist() for name in factors), strict=True)
+        return dict(zip(runs[RUN_ID].tolist(), map(cache(combination_label), texts), strict=True))
 
     @cached_property
     def order(self) -> tuple[str, ...]:

@@ -92,7 +92,6 @@ def _distributions(material: Material, measure: MeasureStatistics) -> Iterator[F
 
 
 def _proportions(material: Material, measure: MeasureStatistics, factors: tuple[str, ...]) -> FigureBlock:
-    """Return the figure of the proportions of a measure of yes and no."""
     of = measure.proportions
     assert of is not None  # noqa: S101 - a measure of yes and no has proportions
     groups = [each for each in (of.overall, *of.by_treatment, *of.by_combination) if tuple(each.treatments) == factors]
@@ -152,15 +151,14 @@ def _level(intervals: Iterable[Interval | None]) -> str:
 
 def _groups(material: Material, measure: MeasureStatistics, factors: tuple[str, ...]) -> list[Group]:
     labels = material.labels_by(factors)
-    described = {
-        combination_label(each.treatments[name] for name in factors): each for each in _descriptions(measure, factors)
-    }
+    told = _descriptions(measure, factors)
+    described = {combination_label(each.treatments[name] for name in factors): each for each in told}
     runs = material.described(measure)
     order = _applied_order(material, factors)
     members: dict[str, list[tuple[float, str]]] = {label: [] for label in order}
-    for run_id, value in zip(runs[RUN_ID], runs[measure.name], strict=True):
+    for run_id, value in zip(runs[RUN_ID].tolist(), runs[measure.name].tolist(), strict=True):
         if labels[run_id] in members:
-            members[labels[run_id]].append((float(value), str(run_id)))
+            members[labels[run_id]].append((float(value), run_id))
     groups = []
     for label, pairs in members.items():
         description = described.get(label)

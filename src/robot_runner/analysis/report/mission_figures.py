@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -246,9 +247,7 @@ def _figure(material: Material, file: SampleFile, source: str, runs: list[str]) 
         file.plugin, file=file.name, runs=shown, columns=["x_m", "y_m"], with_factors=False, with_phases=False
     )
     ways = [
-        Trajectory(
-            material.labels[str(run_id)], way["x_m"].to_numpy(dtype="float64"), way["y_m"].to_numpy(dtype="float64")
-        )
+        Trajectory(material.labels[str(run_id)], *way[["x_m", "y_m"]].to_numpy(dtype="float64").T)
         for run_id, way in samples.groupby("run_id", observed=True)
     ]
     whose = "all runs that are done" if len(shown) == len(runs) else f"{len(shown)} of {counted(len(runs), 'run')}"
@@ -297,9 +296,8 @@ def _stills(notes: object, path: Path, root: Path) -> tuple[tuple[str, Path], ..
     """Return the caption and the file of each still; other entries, and paths outside the folder, are ignored."""
     stills = [note for note in notes if isinstance(note, dict)] if isinstance(notes, list) else []
     found = ((str(note.get("label")), path.parent / str(note.get("file"))) for note in stills)
-    return tuple((label, file) for label, file in found if file.parent == path.parent and _is_file(file, root))[
-        :_MOST_STILLS
-    ]
+    safe = (each for each in found if each[1].parent == path.parent and _is_file(each[1], root))
+    return tuple(islice(safe, _MOST_STILLS))
 
 
 def _is_file(path: Path, root: Path) -> bool:

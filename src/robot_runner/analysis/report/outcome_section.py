@@ -84,12 +84,9 @@ def failures_in_words(material: Material) -> list[tuple[str, str]]:
 
 def _run_table(material: Material) -> Table:
     results = material.results
-    attempts = {str(run): int(count) for run, count in results.attempts["run_id"].value_counts().items()}
+    attempts = results.attempts["run_id"].value_counts().to_dict()
     tried_again = any(count > 1 for count in attempts.values())
-    last = material.last_attempts
-    took = {
-        run: float(seconds) for run, seconds in zip(last["run_id"], last["seconds"], strict=True) if pd.notna(seconds)
-    }
+    took = material.last_attempts.set_index("run_id")["seconds"].dropna().to_dict()
     odd: dict[str, str] = {}
     for run, owner, problem in results.odd[["run_id", "owner", "problem"]].itertuples(index=False):
         odd[run] = f"{odd[run]}; {owner}: {problem}" if run in odd else f"{owner}: {problem}"

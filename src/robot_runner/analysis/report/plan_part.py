@@ -50,12 +50,7 @@ def planned_parts(measure: MeasureStatistics, label: str) -> Iterator[Block]:
 
 
 def _left_out_table(measure: MeasureStatistics, label: str) -> Table:
-    fields = (
-        text("Run", "run_id"),
-        number("Value", "value"),
-        text("Rule", "reason.value"),
-        text("Reason", "why"),
-    )
+    fields = (text("Run", "run_id"), number("Value", "value"), text("Rule", "reason.value"), text("Reason", "why"))
     caption = f"{label}: values that the analysis leaves out; the run table keeps them."
     return build_table(f"left out {measure.name}", caption, measure.left_out, fields)
 

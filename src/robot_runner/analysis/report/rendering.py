@@ -85,6 +85,11 @@ class TableFiles:
     csv: str
     latex: str
 
+    @property
+    def contents(self) -> tuple[tuple[str, bytes], ...]:
+        """The name and the content of each file."""
+        return (f"{self.name}.csv", self.csv.encode()), (f"{self.name}.tex", self.latex.encode())
+
 
 def files_of_tables(document: Document, on_step: OnStep = unheard) -> dict[str, TableFiles]:
     """Return the files of all tables of a document, by the table's name; report progress to `on_step`."""
@@ -104,18 +109,9 @@ def html_of(document: Document, drawings: Mapping[str, bytes], tables: Mapping[s
     anchors = SafeNames()
     for section in document.sections:  # links may rely on the names of sections, so reserve them first
         anchors(section.name)
-    return (
-        _pages()
-        .get_template("report.html.j2")
-        .render(
-            document=document,
-            drawings={name: drawing_of(svg) for name, svg in drawings.items()},
-            tables=tables,
-            archive=_archive(tables.values()),
-            anchor=anchors,
-            most_rows=_MOST_ROWS,
-        )
-    )
+    drawn = {name: drawing_of(svg) for name, svg in drawings.items()}
+    shown = {"document": document, "drawings": drawn, "tables": tables, "archive": _archive(tables.values())}
+    return _pages().get_template("report.html.j2").render(shown, anchor=anchors, most_rows=_MOST_ROWS)
 
 
 def markdown_of(document: Document, figure_path: Callable[[str], str]) -> str:
@@ -322,10 +318,8 @@ def _archive(tables: Iterable[TableFiles]) -> Markup:
     into = io.BytesIO()
     # Without times, so that the same tables give the same bytes.
     with gzip.GzipFile(fileobj=into, mode="wb", mtime=0) as packed, tarfile.open(fileobj=packed, mode="w") as archive:
-        for table in tables:
-            for ending, text in (("csv", table.csv), ("tex", table.latex)):
-                content = text.encode()
-                entry = tarfile.TarInfo(f"{table.name}.{ending}")
-                entry.size = len(content)
-                archive.addfile(entry, io.BytesIO(content))
+        for name, content in chain.from_iterable(table.contents for table in tables):
+            entry = tarfile.TarInfo(name)
+            entry.size = len(content)
+            archive.addfile(entry, io.BytesIO(content))
     return Markup(f"data:application/gzip;base64,{base64.b64encode(into.getvalue()).decode()}")  # noqa: S704 - as said

@@ -61,12 +61,7 @@ def _cards(material: Material, threats: Sequence[Remark]) -> Iterator[Card]:
     excluded = f", {len(material.excluded):,} excluded" if len(material.excluded) else ""
     total, done, failed = len(material.runs), material.counts[RunStatus.DONE], material.counts[RunStatus.FAILED]
     tone = Tone.BAD if failed else Tone.GOOD if done == total else Tone.WARNING
-    yield Card(
-        f"{done:,} of {total:,}",
-        "runs done",
-        f"{failed:,} failed{excluded}" if failed else f"none failed{excluded}",
-        tone,
-    )
+    yield Card(f"{done:,} of {total:,}", "runs done", f"{f'{failed:,}' if failed else 'none'} failed{excluded}", tone)
     design = material.statistics.design
     factors = [name for name in material.results.factors if name in {*design.factors, *design.constant_factors}]
     if factors:

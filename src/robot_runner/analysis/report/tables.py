@@ -11,8 +11,6 @@ from robot_runner.analysis.report.blocks import Cell, Column, Place, Table, Tone
 from robot_runner.analysis.wording import shown_coefficient, shown_interval, shown_number, shown_p
 
 if TYPE_CHECKING:
-    from robot_runner.analysis.statistics.tested import Interval
-
     #: Reads a value of an item: a function, or the name of an attribute.
     Read = Callable[[Any], Any] | str
 
@@ -59,7 +57,7 @@ def number(name: str, read: Read, digits: int = 4, *, place: Place = Place.EVERY
         value = of(item)
         return number_cell(value, digits, Tone.WARNING if warns and value else Tone.PLAIN)
 
-    return Field(Column(name, is_number=True, place=place), cell)
+    return field(name, cell, is_number=True, place=place)
 
 
 def coefficient(name: str, read: Read) -> Field:
@@ -87,14 +85,11 @@ def interval(name: str, read: Read, shown: Callable[[float | None], str] = shown
     of = _reader(read)
 
     def end(which: str) -> Callable[[Any], float | None]:
-        return lambda item: None if of(item) is None else getattr(of(item), which)
-
-    def both(item: Any) -> Cell:
-        found: Interval | None = of(item)
-        return Cell.of_text(shown_interval(found, shown))
+        return lambda item: None if (found := of(item)) is None else getattr(found, which)
 
     ends = (number(f"{name}, {which}", end(which), place=Place.FILE) for which in ("low", "high"))
-    return (Field(Column(name, is_number=True, place=Place.PAGE), both), *ends)
+    page = field(name, lambda item: Cell.of_text(shown_interval(of(item), shown)), is_number=True, place=Place.PAGE)
+    return (page, *ends)
 
 
 def _reader(read: Read) -> Callable[[Any], Any]:

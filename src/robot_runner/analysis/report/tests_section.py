@@ -139,9 +139,8 @@ def _beside(material: Material, measure: MeasureStatistics, label: str) -> Itera
     """Yield the tests with one choice changed, folded, because the planned test comes first."""
     for title, test in besides(material, measure.name):
         name = f"test {one_word(measure.name)} {title.casefold()}"
-        table = _effect_table(
-            name, f"{label}, {title.casefold()}: {test.method.value}.", test, material.statistics.alpha
-        )
+        caption = f"{label}, {title.casefold()}: {test.method.value}."
+        table = _effect_table(name, caption, test, material.statistics.alpha)
         yield Part(name.replace(" ", "-"), title, (table,), is_folded=True)
 
 
@@ -233,9 +232,8 @@ def _shown_statistic(effect: Effect) -> str:
     """Return the statistic of an effect; both statistics where two tests are combined."""
     if effect.statistic is None:
         return MISSING
-    return "; ".join(
-        shown_test(effect.statistic_name, of.degrees_of_freedom, of.statistic) for of in effect.parts or (effect,)
-    )
+    parts = effect.parts or (effect,)
+    return "; ".join(shown_test(effect.statistic_name, of.degrees_of_freedom, of.statistic) for of in parts)
 
 
 def _shown_size(size: EffectSize) -> str:
@@ -245,7 +243,6 @@ def _shown_size(size: EffectSize) -> str:
 
 
 def _pair_table(measure: MeasureStatistics, label: str, post_hoc: PostHoc) -> Table:
-    """Return a table of the comparisons of all pairs of treatments."""
     sizes = list(dict.fromkeys(size.name for pair in post_hoc.comparisons for size in pair.effect_sizes))
     fields: list[Field | tuple[Field, ...]] = [
         text("First", "first"),
@@ -258,21 +255,17 @@ def _pair_table(measure: MeasureStatistics, label: str, post_hoc: PostHoc) -> Ta
         p_value("Adjusted p", "adjusted_p_value", "is_significant"),
         p_value(check := f"p of {'means' if post_hoc.quantity.endswith('ranks') else 'ranks'}", "check_p_value"),
     ]
-    name, caption = (
-        f"pairs {' '.join(map(one_word, (measure.name, *post_hoc.factors)))}",
-        f"all pairs of {named_within(' / '.join(post_hoc.factors), post_hoc.within)}",
-    )
+    name = f"pairs {' '.join(map(one_word, (measure.name, *post_hoc.factors)))}"
+    pairs = f"all pairs of {named_within(' / '.join(post_hoc.factors), post_hoc.within)}"
+    caption = f"{label}: {pairs}, the first less the second."
     note = (
         f"{post_hoc.method}; {_about_brackets(post_hoc)} Adjusted after "
         f"{correction_in_words(post_hoc.correction)}, and no smaller than the p-value of the effect."
     )
-    return build_table(
-        name, f"{label}: {caption}, the first less the second.", post_hoc.comparisons, fields, note
-    ).without_blank(check)
+    return build_table(name, caption, post_hoc.comparisons, fields, note).without_blank(check)
 
 
 def _about_brackets(post_hoc: PostHoc) -> str:
-    """Return a sentence on the intervals of pairs."""
     intervals = (pair.interval for pair in post_hoc.comparisons if pair.interval is not None)
     level = next((shown_level(each.level) for each in intervals), "")
     # Exact tests, which have no statistic, are not inverted: of proportions, the test decides.

@@ -66,19 +66,10 @@ def threats_section(material: Material, threats: Sequence[Remark]) -> Section:
 
 def threats_of(material: Material) -> tuple[Remark, ...]:
     """Return all threats, grouped by kind."""
+    internal = (_drifts, _order, _extended, _excluded, _unfinished, _circumstances, machine_threats, _odd, _gaps)
     kinds = {
         "Conclusion validity": (_groups, _precision, _power, _plan, _registered, _planned_choices, _doubtful),
-        "Internal validity": (
-            _drifts,
-            _order,
-            _extended,
-            _excluded,
-            _unfinished,
-            _circumstances,
-            machine_threats,
-            _odd,
-            _gaps,
-        ),
+        "Internal validity": internal,
         "Construct validity": (_unread, _origins, _saturation, _limits),
         "External validity": (_constant_factors,),
     }
@@ -93,11 +84,8 @@ def threats_of(material: Material) -> tuple[Remark, ...]:
 def _groups(material: Material) -> Threats:
     design = material.statistics.design
     if design.used and design.factors and not design.is_balanced:
-        none = (
-            f"; {counted(design.lacking_combinations, 'combination')} without any"
-            if design.lacking_combinations
-            else ""
-        )
+        lacking = design.lacking_combinations
+        none = f"; {counted(lacking, 'combination')} without any" if lacking else ""
         least, most = design.smallest_group, design.largest_group
         sizes = f"{least:,} to {most:,} runs" if least < most else f"{counted(least, 'run')} each"
         text = f"Combinations have {sizes}{none}."
@@ -211,7 +199,6 @@ def _chosen_runs(material: Material) -> Iterator[str]:
 
 
 def _excluded(material: Material) -> Threats:
-    """Yield excluded runs, grouped by reason."""
     frame = material.excluded
     for reason, runs in frame.groupby(EXCLUDED, sort=False):
         times = sorted(shown_stamp(each.isoformat()) for each in runs["excluded_at"].dropna())
@@ -304,8 +291,9 @@ def _circumstances(material: Material) -> Threats:
         text = f"{parts}, and later runs had another machine or software: {listed(sorted(others), shown=8)}."
         yield "Machine or software changed on the way", text, Tone.WARNING
     elif len(executions) > 1:
-        what = "circumstances may have changed between them" if None in told[1:] else "on one machine and software"
-        yield "Executed in parts", f"{parts}{';' if None in told[1:] else ','} {what}.", Tone.NOTE
+        is_known = None not in told[1:] and not material.results.attempts.attrs["workers"]  # those are other machines
+        what = ", on one machine and software" if is_known else "; circumstances may have changed between them"
+        yield "Executed in parts", f"{parts}{what}.", Tone.NOTE
     if ExperimentFolder(material.results.folder).earlier_configs.is_dir():
         text = "Configs that were executed before are in earlier_configs/: see what changed, and for which runs."
         yield "The config changed on the way", text, Tone.WARNING

@@ -193,16 +193,14 @@ def _write_figures(
                 worker.write(figure, place.folder / name, place.root)
                 files.append(place.folder / name)
             else:
-                is_drawn = kind is FigureFormat.SVG
-                content = drawings[block.name] if is_drawn else figure_bytes(figure, kind)
+                content = drawings[block.name] if kind is FigureFormat.SVG else figure_bytes(figure, kind)
                 files.append(place.write(name, content, is_part=True))
     return tuple(files), drawings
 
 
 def _write_tables(tables: Mapping[str, TableFiles], place: _Place) -> tuple[Path, ...]:
-    parts = [
-        (each.name, ending, text)
+    return tuple(
+        place.write(f"tables/{name}", content, is_part=True)
         for each in tables.values()
-        for ending, text in (("csv", each.csv), ("tex", each.latex))
-    ]
-    return tuple(place.write(f"tables/{name}.{ending}", text.encode(), is_part=True) for name, ending, text in parts)
+        for name, content in each.contents
+    )

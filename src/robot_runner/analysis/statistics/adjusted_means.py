@@ -19,7 +19,7 @@ from robot_runner.analysis.statistics.analysed_design import VALUE, MeasureData
 from robot_runner.analysis.statistics.cell_moments import SpreadPart
 from robot_runner.analysis.statistics.contrasts import Contrast, Tested, rounding_of
 from robot_runner.analysis.statistics.covariate_design import AdjustmentError, Covariate, CovariateDesign
-from robot_runner.analysis.statistics.effect_coding import Factors, Term
+from robot_runner.analysis.statistics.effect_coding import Factors
 from robot_runner.analysis.statistics.tested import EffectTest, NotComputed, NoVariation, TestMethod
 from robot_runner.core.design.analysis_plan import Estimand, Statistic
 
@@ -36,39 +36,33 @@ class AdjustedMeans:
     """The adjusted means of all combinations, at the mean of the covariates, and the tests of effects.
 
     Attributes:
-        factors: the factors, with their treatments.
-        terms: the factors of each effect, main effects first.
+        design: its columns. If all factors differ within blocks, block means are subtracted from them.
         fit: the model: the mean of all combinations (without blocks only), effects, covariates, batches.
         covariates: those whose slope can be estimated, in the model's order.
-        constant: covariates that are the same in all runs.
         centre: the mean of all runs, at the mean of their covariates.
         spread: the standard deviation that standardises differences: that of unadjusted values.
         residual_spread: the standard deviation of the model's residuals.
         spread_parts: the components of the variance `spread` squared within blocks; none for independent runs, where
             it is known as precisely as differences are.
-        is_within: whether block means are subtracted, as all factors differ within blocks.
-        first_slope: the index of the first covariate among the coefficients.
         slopes_p_value: of the test that slopes are the same for all treatments; None where it cannot be computed.
         adjusted: the value of each run, adjusted to the mean of the covariates.
-        statistic: which tests several contrasts at once.
-        note: why interactions are left out; empty where they are not.
     """
 
-    factors: Factors
-    terms: tuple[Term, ...]
+    design: CovariateDesign
     fit: RobustFit
     covariates: tuple[Covariate, ...]
-    constant: tuple[str, ...]
     centre: float
     spread: float
     residual_spread: float
     spread_parts: tuple[SpreadPart, ...]
-    is_within: bool
-    first_slope: int
     slopes_p_value: float | None
     adjusted: Floats
     statistic: Statistic
-    note: str
+
+    @property
+    def factors(self) -> Factors:
+        """The factors, with their treatments."""
+        return self.design.factors
 
     @property
     def method(self) -> TestMethod:
@@ -78,8 +72,8 @@ class AdjustedMeans:
     def effects(self) -> Iterator[EffectTest]:
         """Yield the test of each effect."""
         cells = math.prod(map(len, self.factors.values()))
-        start = 0 if self.is_within else 1
-        for factors in self.terms:
+        start = 0 if self.design.is_within else 1
+        for factors in self.design.terms:
             count = self.factors.size(factors)
             place = np.arange(start, start + count)
             start += count
@@ -91,13 +85,11 @@ class AdjustedMeans:
                 found = self.fit.contrast(weights[0])
                 yield EffectTest(factors, T, "t", found.t_value, (found.freedom,), found.p_value, variance)
                 continue
-            name, tested = self._several(weights)
-            yield EffectTest(
-                factors, name, "F", tested.f_value, (tested.between, tested.within), tested.p_value, variance
-            )
+            name, (f_value, *freedom, p_value) = self._several(weights)
+            yield EffectTest(factors, name, "F", f_value, tuple(freedom), p_value, variance)
 
     def _several(self, weights: Floats) -> tuple[str, Tested]:
-        if self.is_within:
+        if self.design.is_within:
             return WITHIN, self.fit.box(weights, is_repeated=True)
         found = self.fit.hotelling(weights) if self.statistic is not Statistic.ANOVA_TYPE else None
         return (BOX, self.fit.box(weights)) if found is None else (HOTELLING, found)
@@ -106,19 +98,17 @@ class AdjustedMeans:
         """Estimate a weighted sum of marginal means, with equal weights for all combinations.
 
         Where block means are subtracted, the standard error is valid only if the weights sum up to 0.
-
-        Args:
-            weights: treatments by factor, with the weight of their mean.
         """
-        row = np.sum([weight * self._marginal_row(treatments) for treatments, weight in weights], axis=0)
-        found = self.fit.contrast(row)
-        total = sum(weight for _, weight in weights) if self.is_within else 0.0
+        skipped = 1 if self.design.is_within else 0  # the mean of all combinations
+        row = np.sum([weight * self.factors.row(self.design.terms, of)[skipped:] for of, weight in weights], axis=0)
+        found = self.fit.contrast(np.pad(row, (0, len(self.fit.beta) - len(row))))
+        total = sum(weight for _, weight in weights) if self.design.is_within else 0.0
         return found._replace(estimate=found.estimate + total * self.centre)
 
     def slope(self, covariate: Covariate) -> Contrast:
         """Return the slope of a covariate: the change of the measure per unit."""
         weights = np.zeros(len(self.fit.beta))
-        weights[self.first_slope + self.covariates.index(covariate)] = 1 / covariate.scale
+        weights[self.design.base.shape[1] + self.covariates.index(covariate)] = 1 / covariate.scale
         return self.fit.contrast(weights)
 
     def adjusted_data(self, data: MeasureData) -> MeasureData:
@@ -126,19 +116,12 @@ class AdjustedMeans:
         frame = data.frame.assign(**{VALUE: self.adjusted})
         return replace(data, frame=frame, every=frame, covariates=())
 
-    def _marginal_row(self, treatments: Mapping[str, str]) -> Floats:
-        coded = self.factors.row(self.terms, treatments)[1 if self.is_within else 0 :]
-        return np.concatenate([coded, np.zeros(len(self.fit.beta) - len(coded))])
-
 
 def fit_adjusted(data: MeasureData, estimand: Estimand, statistic: Statistic) -> AdjustedMeans | NotComputed:
     """Fit the analysis of covariance of a measure, or return why this is not possible.
 
-    Args:
-        data: the measure, with its covariates.
-        estimand: means or ranks; with ranks, covariates are ranked as well (Conover and Iman, Analysis of covariance
-            using the rank transformation, 1982).
-        statistic: which tests several contrasts at once.
+    With ranks, covariates are ranked as well (Conover and Iman, Analysis of covariance using the rank transformation,
+    1982).
     """
     try:
         return _fitted(CovariateDesign.of_data(data, estimand), statistic)
@@ -159,21 +142,16 @@ def _fitted(design: CovariateDesign, statistic: Statistic) -> AdjustedMeans | No
     adjusted = values - design.columns @ fit.beta[design.base.shape[1] :]
     first, count = (0 if design.is_within else 1), design.effects.shape[1] - 1
     return AdjustedMeans(
-        design.factors,
-        design.terms,
+        design,
         fit,
         covariates,
-        design.constant,
         float(np.mean(adjusted - design.effects[:, 1:] @ fit.beta[first : first + count])),
         spread,
         left,
         design.spread_parts(unadjusted) if design.is_within else (),
-        is_within=design.is_within,
-        first_slope=design.base.shape[1],
-        slopes_p_value=_equal_slopes(design),
-        adjusted=adjusted,
-        statistic=statistic,
-        note=design.note,
+        _equal_slopes(design),
+        adjusted,
+        statistic,
     )
 
 

@@ -11,7 +11,7 @@ from robot_runner.analysis.statistics.analysed_design import VALUE, MeasureData
 from robot_runner.analysis.statistics.descriptive import quiet
 from robot_runner.analysis.statistics.disclosed import AdjustedMean, Adjustment, Slope
 from robot_runner.analysis.statistics.post_hoc import adjusted
-from robot_runner.analysis.statistics.tested import Interval, NotComputed
+from robot_runner.analysis.statistics.tested import NotComputed
 from robot_runner.analysis.statistics.tests import Choices, model_of
 from robot_runner.analysis.wording import p_in_words
 from robot_runner.core.design.analysis_plan import ELAPSED, ORDER, Correction, Estimand
@@ -19,8 +19,6 @@ from robot_runner.core.words import enumerated
 
 if TYPE_CHECKING:
     from robot_runner.analysis.statistics.adjusted_means import AdjustedMeans
-    from robot_runner.analysis.statistics.contrasts import Contrast
-    from robot_runner.analysis.statistics.covariate_design import Covariate
 
 #: The variance inflation from which on a covariate is nearly collinear with the rest of the design (Marquardt 1970;
 #: Kutner et al., Applied Linear Statistical Models, 2005, section 10.5).
@@ -32,16 +30,8 @@ _UNITS = {ORDER: "run", ELAPSED: "s"}
 def adjustment_of(
     data: MeasureData, model: AdjustedMeans, choices: Choices, unit_of: Callable[[str], str]
 ) -> Adjustment:
-    """Return how a measure was adjusted for its covariates.
-
-    Args:
-        data: the measure.
-        model: the fitted model.
-        choices: the choices of the analysis plan.
-        unit_of: returns the unit of a measure.
-    """
-    by_name = {covariate.name: covariate for covariate in model.covariates}
-    slopes = tuple(_slope(data, model, by_name.get(name), name, choices, unit_of) for name in data.covariates)
+    """Return how a measure was adjusted for its covariates."""
+    slopes = tuple(_slope(data, model, name, choices, unit_of) for name in data.covariates)
     with quiet():
         means = tuple(_means(data, model, choices))
     warnings = (*_doubts(data, slopes, choices.alpha), *_slopes_differ(data, model, choices.alpha))
@@ -49,13 +39,9 @@ def adjustment_of(
 
 
 def _slope(
-    data: MeasureData,
-    model: AdjustedMeans,
-    covariate: Covariate | None,
-    name: str,
-    choices: Choices,
-    unit_of: Callable[[str], str],
+    data: MeasureData, model: AdjustedMeans, name: str, choices: Choices, unit_of: Callable[[str], str]
 ) -> Slope:
+    covariate = next((each for each in model.covariates if each.name == name), None)
     if covariate is None:
         return Slope(name, "", None, None, None, None, None, None, None, None)
     if choices.estimand is Estimand.RANK:
@@ -64,25 +50,20 @@ def _slope(
         per = _UNITS.get(name) or unit_of(name) or f"unit of {name}"
         unit = f"{unit_of(data.name)} per {per}".strip()
     found = model.slope(covariate)
-    freedom, p_value = float(found.freedom), float(found.p_value)
+    p_value = float(found.p_value)
     is_known = math.isfinite(p_value)
     return Slope(
         name,
         unit,
         float(found.estimate),
-        _interval(found, choices.alpha) if is_known else None,
+        found.interval(choices.alpha) if is_known else None,
         float(found.t_value) if is_known else None,
-        freedom if is_known else None,
+        float(found.freedom) if is_known else None,
         p_value if is_known else None,
         covariate.centre,
         covariate.inflation,
         _treatments_p_value(data, name),
     )
-
-
-def _interval(found: Contrast, alpha: float) -> Interval:
-    reach = found.reach(alpha)
-    return Interval(float(found.estimate) - reach, float(found.estimate) + reach, 1 - alpha, "t distribution")
 
 
 def _treatments_p_value(data: MeasureData, name: str) -> float | None:
@@ -103,16 +84,14 @@ def _means(data: MeasureData, model: AdjustedMeans, choices: Choices) -> Iterato
             weights = [({factor: level}, 1.0)]
             found = model.difference(weights)
             mean = None if isinstance(plain, NotComputed) else float(plain.difference(weights).estimate)
-            interval = None if data.is_blocked else _interval(found, choices.alpha)
+            interval = None if data.is_blocked else found.interval(choices.alpha)
             yield AdjustedMean({factor: level}, mean, float(found.estimate), interval)
 
 
 def _doubts(data: MeasureData, slopes: Sequence[Slope], alpha: float) -> Iterator[str]:
-    constant = [slope.covariate for slope in slopes if slope.value is None]
-    if constant:
+    if constant := [slope.covariate for slope in slopes if slope.value is None]:
         where = "within each block" if data.is_blocked else "in all runs"
-        is_one = len(constant) == 1
-        same = f"which {'is' if is_one else 'are'} the same {where}"
+        same = f"which {'is' if len(constant) == 1 else 'are'} the same {where}"
         yield f"{data.name} is not adjusted for {enumerated(constant)}, {same}."
     for slope in slopes:
         if slope.inflation is not None and slope.inflation > _MOST_INFLATED:

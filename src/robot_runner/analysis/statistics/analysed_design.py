@@ -52,18 +52,14 @@ class MeasureData:
     """The values of one measure, with the treatments of each run.
 
     Attributes:
-        name: the measure.
         frame: one row for each run with a value: `run_id`, ` place` (in the order of execution, from 1), ` value`,
             ` block` and ` batch` (where the design has them), and each factor as an ordered categorical of texts.
         every: the same for all runs that are done; ` value` is NaN where it is missing.
         factors: those with two or more treatments among the runs with a value.
-        is_blocked: whether runs belong to blocks.
         is_extended: whether the runs with a value are from several batches.
         covariates: the covariates that values are adjusted for; `frame` has a column for each, and only the runs that
             have all of them.
         known: the design, beyond factors and blocks.
-        block: the column of the blocks.
-        conditions: the conditions under which conditional factors apply.
     """
 
     name: str
@@ -109,8 +105,7 @@ class MeasureData:
 
     def with_plots_as_blocks(self) -> MeasureData:
         """Return the same runs with the whole plots of a split-plot design as blocks."""
-        frame = self.frame.assign(**{_BLOCK: self.plots.astype(str)})
-        return replace(self, frame=frame, is_blocked=True, known=PLAIN)
+        return replace(self, frame=self.frame.assign(**{_BLOCK: self.plots.astype(str)}), is_blocked=True, known=PLAIN)
 
     def covariate(self, name: str) -> Floats:
         """Return the value of a covariate for each run with a value."""
@@ -158,8 +153,7 @@ class MeasureData:
 
     def strata_columns(self, but: str) -> list[str]:
         """Return the columns of the strata within which only one factor differs, block and batch included."""
-        names = self.others([but])
-        return [*names, *([_BLOCK] if self.is_blocked else []), *([BATCH] if self.is_extended else [])]
+        return [*self.others([but]), *([_BLOCK] if self.is_blocked else []), *([BATCH] if self.is_extended else [])]
 
     def levels(self, factor: str) -> list[str]:
         """Return the treatments of a factor among runs with a value, in their order."""
@@ -218,10 +212,8 @@ class Design:
         constant: those with one treatment.
         block: the column of the blocks, or None.
         left_out: how many runs of the table are not done.
-        without: runs whose values are not used.
         covariates: the covariates that measures are adjusted for; a covariate itself is not adjusted.
         known: the design, beyond factors and blocks.
-        conditions: the conditions under which conditional factors apply.
     """
 
     results: Results
@@ -287,7 +279,6 @@ class Design:
         """Return the design in figures and in a sentence."""
         counts = self.frame.groupby(list(self.factors), observed=True).size() if self.factors else None
         found = [len(self.frame)] if counts is None else [int(count) for count in counts]
-        possible = self.possible
         return DesignSummary(
             factors=self.factors,
             constant_factors=self.constant,
@@ -295,7 +286,7 @@ class Design:
             used=len(self.frame),
             left_out=self.left_out,
             combinations=len(found),
-            empty_combinations=possible - len(found),
+            empty_combinations=self.possible - len(found),
             smallest_group=min(found, default=0),
             largest_group=max(found, default=0),
             sentence=self._sentence(found),
@@ -343,9 +334,7 @@ class Design:
 def design_of(results: Results, *, blocks: str | None = None) -> Design:
     """Return the design of an experiment from its runs that are done.
 
-    Args:
-        results: the experiment.
-        blocks: the column of the blocks; None for the blocks within which the order was randomised.
+    Blocks are those of this column, or with None those within which the order was randomised.
     """
     done = (results := results.confirming).done
     column = blocks if blocks in results.runs.columns else results.block
@@ -358,8 +347,7 @@ def design_of(results: Results, *, blocks: str | None = None) -> Design:
     counted_only = {results.repetition, column, *known.columns}
     names = [name for name in results.factors if name not in counted_only]
     for name in names:
-        texts = treatment_texts(done[name])
-        columns[name] = texts.cat.remove_unused_categories()
+        columns[name] = treatment_texts(done[name]).cat.remove_unused_categories()
     columns |= {role_column(name): done[name].astype("str") for name in known.columns}
     if column is not None:
         columns[_BLOCK] = done[column].astype("str")

@@ -33,11 +33,7 @@ _ROUNDED = 1e-15
 
 
 def normality(
-    values: Floats,
-    alpha: float,
-    treatments: Mapping[str, str] | None = None,
-    *,
-    freedom: int | None = None,
+    values: Floats, alpha: float, treatments: Mapping[str, str] | None = None, *, freedom: int | None = None
 ) -> AssumptionCheck | NotComputed:
     """Check with the Shapiro-Wilk test whether values may come from a normal distribution.
 
@@ -76,10 +72,8 @@ def normality(
 def equal_variances(groups: Sequence[Group], alpha: float, within: Sequence[str] = ()) -> AssumptionCheck | NotComputed:
     """Check with Levene's test, centred at medians (Brown and Forsythe 1974), whether variances may be equal.
 
-    Args:
-        groups: the runs of each combination.
-        alpha: the level of the test: `holds` is False for smaller p-values.
-        within: what several runs share, such as blocks; the test needs independent runs, and is then not computed.
+    For p-values below alpha, `holds` is False. The test needs independent runs: it is not computed where several runs
+    share what `within` names, such as blocks.
     """
     what = f"{LEVENE} test"
     if within:

@@ -42,10 +42,9 @@ class Comparable(NamedTuple):
 
 
 def batch_shares(counts: Floats) -> Floats:
-    """Return the weight of each batch, summing up to 1; a batch that lacks a combination has the weight 0.
+    """Return the weight of each batch, summing up to 1, given numbers of runs, (combinations, batches).
 
-    Args:
-        counts: the numbers of runs, (combinations, batches).
+    A batch that lacks a combination has the weight 0.
 
     Example:
         >>> batch_shares(np.array([[3.0, 1.0, 4.0], [3.0, 1.0, 0.0]])).tolist()

@@ -43,7 +43,7 @@ if TYPE_CHECKING:
 MOST_FACTORS = 3
 
 #: The most combinations that get a mean each: more take long to compute, and nobody can read them.
-_MOST_CELLS = 500
+MOST_CELLS = 500
 
 #: The share of blocks that must be complete if the others are to be left out.
 COMPLETE = 0.75
@@ -64,7 +64,6 @@ class EffectContrast:
     """The orthonormal contrasts of an effect: between groups of units, and between the cells within each.
 
     Attributes:
-        factors: one name, or several for an interaction.
         between: (contrasts, groups).
         within: (contrasts, cells within a group).
     """
@@ -79,7 +78,6 @@ class Layout:
     """How runs are combined into the means that are compared.
 
     Attributes:
-        factors: the factors, with their treatments.
         between: the factors that differ between units; the others differ within each.
         is_blocked: whether units are blocks; else each run is a unit.
         rows: the indices of the used runs among the runs with a value; sorted by unit and cell.
@@ -131,12 +129,7 @@ class Layout:
         return "" if has_enough else f"{fewest} runs of each treatment"
 
     def moments(self, values: Floats, estimand: Estimand = Estimand.MEAN) -> Moments:
-        """Return the means of all cells with their squared standard errors.
-
-        Args:
-            values: of all runs with a value, (..., runs).
-            estimand: the estimand of each cell.
-        """
+        """Return the means of all cells with their squared standard errors, from values of (..., runs)."""
         if self.is_blocked:
             return moments_of_units(self.units(values, estimand), self.sizes)
         taken, strata = self._taken(values, estimand), self._strata
@@ -185,11 +178,7 @@ class Layout:
         return np.asarray(ratio / np.sum(shares**2 / left, axis=1) / WINSORISED**2)
 
     def weights(self, treatments: dict[str, str]) -> Floats:
-        """Return the weights of the cells in a marginal mean, equal for all its combinations.
-
-        Args:
-            treatments: by factor; the treatments of all other factors are averaged over.
-        """
+        """Return the weights of the cells in a marginal mean, equal over the treatments of all other factors."""
         if self.inverse is not None:
             return np.asarray((self.factors.row(self.terms, treatments) @ self.inverse)[:, None])
 
@@ -218,14 +207,14 @@ def layout_of(data: MeasureData) -> Layout | None:
     This is so for combinations without runs or with a single one, and for incomplete blocks: then a model is fitted.
     """
     factors = data.treatments
-    if factors.count > _MOST_CELLS:
+    if factors.count > MOST_CELLS:
         return None
     codes = codes_of(data.frame, factors)
     batches = data.batches if data.is_extended else None
     return _blocked(factors, codes, data.blocks, batches) if data.is_blocked else _independent(factors, codes, batches)
 
 
-def _independent(factors: Factors, codes: dict[str, Numbers], batches: Numbers | None = None) -> Layout | None:
+def _independent(factors: Factors, codes: dict[str, Numbers], batches: Numbers | None) -> Layout | None:
     cell = factors.numbers(codes)
     sizes = np.bincount(cell, minlength=factors.count)
     if sizes.min() < _PAIR:
@@ -236,29 +225,25 @@ def _independent(factors: Factors, codes: dict[str, Numbers], batches: Numbers |
         if not counts.all() or np.any(sizes <= counts.shape[1]):
             return None  # a batch lacks a combination, or there is no estimate of error within batches
     rows = np.argsort(cell, kind="stable") if batches is None else np.lexsort((batches, cell))
-    starts = np.concatenate([[0], np.cumsum(sizes)[:-1]])
-    effects = _effects(factors, tuple(factors))
     return Layout(
         factors,
         tuple(factors),
         is_blocked=False,
         rows=rows,
-        starts=starts,
+        starts=np.cumsum(sizes) - sizes,
         sizes=sizes,
-        effects=effects,
+        effects=_effects(factors, tuple(factors)),
         batches=None if batches is None else batches[rows],
     )
 
 
 def _blocked(
-    factors: Factors,
-    codes: dict[str, Numbers],
-    blocks: NDArray[np.str_],
-    batches: Numbers | None = None,
+    factors: Factors, codes: dict[str, Numbers], blocks: NDArray[np.str_], batches: Numbers | None
 ) -> Layout | None:
     _, block = np.unique(blocks, return_inverse=True)
     count = int(block.max()) + 1
-    between = tuple(name for name in factors if _is_constant(codes[name], block, count))
+    held_by = {name: len(set(zip(block.tolist(), codes[name].tolist(), strict=True))) for name in factors}
+    between = tuple(name for name in factors if held_by[name] == count)  # one treatment in each block
     within = tuple(name for name in factors if name not in between)
     if not factors.is_apart(between):
         return None  # blocks do not have the same combinations: a model adjusts for blocks
@@ -295,13 +280,6 @@ def _blocked(
     )
 
 
-def _is_constant(codes: Numbers, block: Numbers, count: int) -> bool:
-    lowest, highest = np.full(count, codes.max()), np.zeros(count, dtype=np.intp)
-    np.minimum.at(lowest, block, codes)
-    np.maximum.at(highest, block, codes)
-    return bool(np.all(lowest == highest))
-
-
 def _effects(factors: Factors, between: Sequence[str]) -> tuple[EffectContrast, ...]:
     of_units, of_cells = factors.only(between), factors.only(name for name in factors if name not in between)
 
@@ -315,13 +293,7 @@ def _effects(factors: Factors, between: Sequence[str]) -> tuple[EffectContrast, 
 
 
 def listed_layout(factors: Factors, codes: Mapping[str, Numbers], terms: Sequence[Term]) -> Layout | None:
-    """Return the layout of runs; None where a combination has a single run, or effects are not estimable.
-
-    Args:
-        factors: the factors, with their treatments.
-        codes: the index of each run's treatment, by factor.
-        terms: the tested effects.
-    """
+    """Return the layout of runs; None where a combination has a single run, or effects are not estimable."""
     listed = np.stack([codes[name] for name in factors], axis=1)
     cells, cell = np.unique(listed, axis=0, return_inverse=True)
     sizes = np.bincount(cell.ravel())
@@ -345,7 +317,7 @@ def listed_layout(factors: Factors, codes: Mapping[str, Numbers], terms: Sequenc
         tuple(factors),
         is_blocked=False,
         rows=np.argsort(cell.ravel(), kind="stable"),
-        starts=np.concatenate([[0], np.cumsum(sizes)[:-1]]),
+        starts=np.cumsum(sizes) - sizes,
         sizes=sizes,
         effects=tuple(effects),
         terms=tuple(terms),

@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from robot_runner.analysis.statistics.cell_layout import EffectContrast, Layout
+    from robot_runner.analysis.statistics.effect_coding import Factors
 
 #: Standard errors smaller than this, relative to the values, are rounding.
 _ROUNDING = 1e-12
@@ -61,11 +62,6 @@ class CellMeans:
     All arrays may have leading axes, one entry for each simulated experiment.
 
     Attributes:
-        layout: of the experiment.
-        moments: of the combinations.
-        estimand: of each combination.
-        statistic: which tests several contrasts at once.
-        draws: of the bootstrap.
         units: the means of cells in each block, (..., blocks, cells); None for independent runs.
         averaged_out: the part of the variance of a run that is averaged out in the means of cells in blocks.
     """
@@ -101,6 +97,11 @@ class CellMeans:
         units = layout.units(values, estimand) if layout.is_blocked else None
         beyond = layout.averaged_out(values, estimand) if layout.is_replicated else NOT_AVERAGED
         return cls(layout, found._replace(errors=errors), estimand, statistic, draws, units, beyond)
+
+    @property
+    def factors(self) -> Factors:
+        """The factors, with their treatments."""
+        return self.layout.factors
 
     @property
     def method(self) -> TestMethod:
@@ -167,15 +168,10 @@ class CellMeans:
 
     def effects(self) -> Iterator[EffectTest]:
         """Yield the test of each effect."""
-        for effect in self.layout.effects:
-            yield self._test(effect)
+        return map(self._test, self.layout.effects)
 
     def difference(self, weights: Sequence[tuple[Mapping[str, str], float]]) -> Contrast:
-        """Estimate a weighted sum of marginal means, with equal weights for all combinations.
-
-        Args:
-            weights: treatments by factor, with the weight of their mean.
-        """
+        """Estimate a weighted sum of marginal means, with equal weights for all combinations."""
         return self._contrast(np.sum([each * self.layout.weights(dict(of)) for of, each in weights], axis=0))
 
     def _contrast(self, weights: Floats) -> Contrast:
@@ -228,8 +224,7 @@ class CellMeans:
         is_corrected = freedom >= least - 1 and flipped is None
         found = box(self.moments, effect.between, effect.within, is_corrected=is_corrected)
         if flipped is not None:
-            p_value = sign_flipped(flipped @ effect.within.T)
-            return GREENHOUSE_GEISSER + SIGN_FLIPS, found._replace(p_value=p_value)
+            return GREENHOUSE_GEISSER + SIGN_FLIPS, found._replace(p_value=sign_flipped(flipped @ effect.within.T))
         return HUYNH_FELDT if is_corrected else GREENHOUSE_GEISSER, found
 
     @property

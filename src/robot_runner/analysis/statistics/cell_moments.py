@@ -29,7 +29,7 @@ def trimmed_from(size: int) -> int:
 
 def moments_of_runs(values: Floats, sizes: Numbers, estimand: Estimand) -> Moments:
     """Return the moments of independent runs, sorted by cell."""
-    starts = np.concatenate([[0], np.cumsum(sizes)[:-1]])
+    starts = np.cumsum(sizes) - sizes
     if estimand is not Estimand.TRIMMED_MEAN:
         means = np.add.reduceat(values, starts, axis=-1) / sizes
         squares = np.add.reduceat((values - np.repeat(means, sizes, axis=-1)) ** 2, starts, axis=-1)
@@ -49,8 +49,7 @@ def moments_of_strata(values: Floats, counts: Numbers, shares: Floats, estimand:
     ]
     centres, squares = (np.stack([each[part] for each in found], axis=-1) for part in (0, 1))
     shape = (*values.shape[:-1], *counts.shape)
-    is_trimmed = estimand is Estimand.TRIMMED_MEAN
-    left = left_of(counts) if is_trimmed else counts
+    left = left_of(counts) if estimand is Estimand.TRIMMED_MEAN else counts
     freedom = np.sum(left - 1.0, axis=1)
     means = centres.reshape(shape) @ shares
     errors = squares.reshape(shape).sum(axis=-1) / freedom * np.sum(shares**2 / left, axis=1)
@@ -101,7 +100,7 @@ def averaged_out(
         batches: of each run, if there are several; each may have a shift, which is removed.
     """
     order, sizes = np.argsort(unit, kind="stable"), np.bincount(unit)
-    starts = np.concatenate([[0], np.cumsum(sizes)[:-1]])
+    starts = np.cumsum(sizes) - sizes
 
     def within(of: Floats) -> Floats:
         return np.asarray(of - np.repeat(np.add.reduceat(of, starts, axis=-1) / sizes, sizes, axis=-1))

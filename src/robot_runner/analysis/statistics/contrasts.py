@@ -22,6 +22,7 @@ import numpy as np
 from scipy import stats
 
 from robot_runner.analysis.arrays import Floats
+from robot_runner.analysis.statistics.tested import Interval
 
 #: The number of bootstrap draws: the standard error of p-values near 0.05 is then about 0.002.
 DRAWS = 9999
@@ -96,6 +97,11 @@ class Contrast(NamedTuple):
         """Return the half-width of the confidence interval of level 1 - alpha."""
         return float(self.error) * float(stats.t.ppf(1 - alpha / 2, float(self.freedom)))
 
+    def interval(self, alpha: float) -> Interval:
+        """Return the confidence interval of level 1 - alpha."""
+        estimate, reach = float(self.estimate), self.reach(alpha)
+        return Interval(estimate - reach, estimate + reach, 1 - alpha, "t distribution")
+
 
 class Tested(NamedTuple):
     """An F statistic with its degrees of freedom."""
@@ -118,9 +124,7 @@ def rounding_of(values: Floats) -> float:
 def beyond_rounding(variances: Floats, independent: Floats) -> Floats:
     """Return the variances of sums of cells, with 0 for those that are rounding alone: all units respond alike.
 
-    Args:
-        variances: computed from the covariances.
-        independent: the variances if the cells were independent.
+    They are compared with the variances if the cells were independent.
     """
     return np.where(variances <= _ROUNDED * independent, 0.0, variances)
 
@@ -136,13 +140,10 @@ def without_rounding(weights: Floats) -> Floats:
 def contrast(moments: Moments, weights: Floats, *, is_corrected: bool = False) -> Contrast:
     """Estimate a weighted sum of means (Welch 1947; with Satterthwaite's degrees of freedom).
 
-    Args:
-        moments: of the cells.
-        weights: of each cell, (groups, cells within a group).
-        is_corrected: whether degrees of freedom are a ratio of unbiased estimates, and no more than for equal
-            variances: with two runs each, by simulation, Satterthwaite's have 2 % false positives at 5 %, and these 4
-            to 5 % (up to 9 % where one combination varies four times as much, and less where one has most of the
-            weight).
+    The weights of the cells are (groups, cells within a group). If `is_corrected`, degrees of freedom are a ratio of
+    unbiased estimates, and no more than for equal variances: with two runs each, by simulation, Satterthwaite's have
+    2 % false positives at 5 %, and these 4 to 5 % (up to 9 % where one combination varies four times as much, and less
+    where one has most of the weight).
     """
     weights = without_rounding(weights)
     estimate = np.einsum("gc,...gc->...", weights, moments.means)
@@ -161,12 +162,7 @@ def contrast(moments: Moments, weights: Floats, *, is_corrected: bool = False) -
 
 
 def along(moments: Moments, within: Floats) -> Moments:
-    """Return the moments of one weighted sum of the cells of each group.
-
-    Args:
-        moments: of the cells.
-        within: the weights of the cells within each group, (cells,).
-    """
+    """Return the moments of one weighted sum of the cells within each group, with weights of (cells,)."""
     errors = np.einsum("c,...gcd,d->...g", within, moments.errors, within)
     return Moments((moments.means @ within)[..., None], errors[..., None, None], moments.freedom)
 
@@ -174,11 +170,8 @@ def along(moments: Moments, within: Floats) -> Moments:
 def welch_james(moments: Moments, between: Floats) -> Tested | None:
     """Test several contrasts at once, with a separate variance for each group (Johansen 1980).
 
-    For the groups of one factor it is Welch's ANOVA of 1951, and for a single contrast the square of Welch's t.
-
-    Args:
-        moments: of groups of one cell each.
-        between: the contrasts of groups, (contrasts, groups).
+    For the groups of one factor it is Welch's ANOVA of 1951, and for a single contrast the square of Welch's t. The
+    contrasts are of groups of one cell each, (contrasts, groups).
 
     Returns:
         None if it is not defined, because two or more groups do not vary.
@@ -238,14 +231,9 @@ def is_crowded(freedom: Floats, between: Floats) -> bool:
     """Return whether groups are too many for their runs, so that Johansen's approximation is too liberal.
 
     This depends on the numbers of runs alone: on the degrees of freedom under equal variances.
-
-    Args:
-        freedom: degrees of freedom of each group.
-        between: the contrasts of groups.
     """
     count = len(between)
-    variances = 1 / (freedom + 1)
-    found = _wald(np.zeros(len(freedom)), variances, between)
+    found = _wald(np.zeros(len(freedom)), 1 / (freedom + 1), between)
     if found is None:
         return True
     a = float(np.sum(found[1] ** 2 / freedom))
@@ -256,12 +244,8 @@ def bootstrapped(test: Callable[[Moments], Floats], moments: Moments, draws: int
     """Return the parametric-bootstrap p-value of a test (Krishnamoorthy, Lu and Mathew 2007).
 
     It is the share of simulated experiments without an effect whose p-value is at most the observed one. They have the
-    estimated variances, so the p-value does not depend on an approximation by an F distribution.
-
-    Args:
-        test: returns the p-value of an effect.
-        moments: of groups of one cell each.
-        draws: the number of simulated experiments.
+    estimated variances, so the p-value does not depend on an approximation by an F distribution. The test returns the
+    p-value of an effect, given the moments of groups of one cell each.
     """
     random = np.random.default_rng(_SEED)
     p_value, variances = test(moments), moments.errors[..., 0, 0]
@@ -323,10 +307,7 @@ def sign_flipped(contrasts: Floats) -> Floats:
     symmetric about 0, whatever the covariances. This is so for normal values, and for treatments that are exchangeable
     within blocks. So the share of patterns whose sum is at least as far from 0 is an exact p-value (Fisher, The Design
     of Experiments, 1935; for vectors: Chung and Fraser, Randomization tests for a multivariate two-sample problem, JASA
-    53, 1958).
-
-    Args:
-        contrasts: of each block, (..., blocks, contrasts), orthonormal.
+    53, 1958). The contrasts of each block are orthonormal, (..., blocks, contrasts).
     """
     blocks = contrasts.shape[-2]
     observed = np.sum(contrasts.sum(axis=-2) ** 2, axis=-1) * (1 - _SAME)

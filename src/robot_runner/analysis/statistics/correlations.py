@@ -19,7 +19,7 @@ from robot_runner.analysis.statistics.descriptive import are_equal, quiet
 from robot_runner.analysis.statistics.designed_columns import grouped, residuals_from, residuals_of
 from robot_runner.analysis.statistics.effect_sizes import correlation_magnitude
 from robot_runner.analysis.statistics.outcome import Correlation, Drift
-from robot_runner.analysis.statistics.post_hoc import adjusted
+from robot_runner.analysis.statistics.post_hoc import adjusted_known
 from robot_runner.analysis.statistics.tested import Interval, NotComputed, NoVariation
 from robot_runner.analysis.statistics.theil_sen import theil_sen
 from robot_runner.analysis.wording import difference_unit, p_in_words, shown_coefficient, with_unit
@@ -50,8 +50,8 @@ def correlations_of(
     for first, second in combinations(map(_Correlated, measures), 2):
         result = _correlation(first, second)
         (found if isinstance(result, Correlation) else missing).append(result)  # type: ignore[arg-type]
-    after = iter(adjusted([each.p_value for each in found if each.p_value is not None], correction))
-    listed = (each if each.p_value is None else replace(each, adjusted_p_value=next(after)) for each in found)
+    after = adjusted_known((each.p_value for each in found), correction)
+    listed = (replace(each, adjusted_p_value=value) for each, value in zip(found, after, strict=True))
     return tuple(listed), tuple(missing)
 
 
@@ -152,11 +152,7 @@ _TIED = 1e-9  # residuals that differ by less than this share of the largest are
 def drift_of(data: MeasureData, alpha: float, unit: str = "", *, is_ordered: bool = True) -> Drift | NotComputed:
     """Test for a drift of the residuals over the order of execution (Spearman's rho, Theil-Sen slope).
 
-    Args:
-        data: the measure.
-        alpha: the level of significance.
-        unit: the measure's unit, for the sentence.
-        is_ordered: whether the order of execution is known; else the sentence names the order of the table.
+    Unless `is_ordered`, the sentence names the order of the table, as that of execution is not known.
     """
     what = "drift over the order of execution"
     places = executed = data.frame[PLACE].to_numpy(dtype=np.float64)

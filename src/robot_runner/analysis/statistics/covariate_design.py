@@ -15,6 +15,7 @@ from robot_runner.analysis.statistics.cell_layout import relative_ranks
 from robot_runner.analysis.statistics.cell_moments import AveragedOut, SpreadPart, averaged_out
 from robot_runner.analysis.statistics.effect_coding import Factors, Term
 from robot_runner.analysis.statistics.linear_model import estimable_terms
+from robot_runner.analysis.statistics.nested_factors import codes_of
 from robot_runner.analysis.statistics.robust_covariance import RobustFit, fit_robustly
 from robot_runner.core.design.analysis_plan import ELAPSED, Estimand
 from robot_runner.core.words import enumerated
@@ -36,7 +37,6 @@ class Covariate(NamedTuple):
     """A covariate of the model.
 
     Attributes:
-        name: its name in the plan.
         centre: its mean over the runs, to which means are adjusted.
         scale: its standard deviation, by which it is divided.
         inflation: the variance inflation factor of its slope, due to treatments, blocks and other covariates.
@@ -55,11 +55,8 @@ class CovariateDesign:
     If all factors differ within blocks, block means are subtracted from all columns, and from the values.
 
     Attributes:
-        factors: the factors, with their treatments.
-        terms: the factors of each effect, main effects first.
         note: why interactions are left out; empty where they are not.
         effects: the columns of the mean of all combinations and of effects, coded to sum up to zero.
-        values: the response.
         raw: the covariates, (runs, covariates), with the names `names`.
         batches: the dummy columns of batches; none for a single batch.
         cell: the combination of each run.
@@ -100,12 +97,11 @@ class CovariateDesign:
         if not terms:
             raise AdjustmentError("there are too few runs for the number of treatments and covariates.")
         cell = np.asarray(texts.groupby(list(factors), sort=False).ngroup(), dtype=np.intp)
-        levels = texts.iloc[np.unique(cell, return_index=True)[1]].to_dict("records")
-        rows = np.stack([factors.row(terms, {str(name): each[name] for name in each}) for each in levels])
+        effects = np.column_stack([np.ones(len(cell)), *factors.columns(codes_of(texts, factors), terms).values()])
         values = data.values  # noqa: PD011 - no data frame
         if estimand is Estimand.RANK:
             values, raw = relative_ranks(values, number), relative_ranks(raw.T, number).T
-        return cls(factors, terms, note, rows[cell], values, raw, data.covariates, batches, cell, units)
+        return cls(factors, terms, note, effects, values, raw, data.covariates, batches, cell, units)
 
     @cached_property
     def is_within(self) -> bool:
@@ -153,9 +149,9 @@ class CovariateDesign:
             rest = columns[:, place] - others @ np.linalg.lstsq(others, columns[:, place])[0]
             share = float(np.sum(rest**2) / np.sum(columns[:, place] ** 2))
             if share < _COLLINEAR:
-                what = "is told by treatments or other covariates completely"
                 raise AdjustmentError(
-                    f"the covariate {self.names[which]} {what}, so that effects cannot be told apart."
+                    f"the covariate {self.names[which]} is told by treatments or other covariates completely, so that "
+                    "effects cannot be told apart."
                 )
             mine = self.raw[:, which]
             found.append(Covariate(self.names[which], float(mine.mean()), float(mine.std(ddof=1)), 1 / share))

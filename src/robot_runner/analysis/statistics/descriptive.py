@@ -88,11 +88,8 @@ def are_equal(values: Floats) -> bool:
 def describe(group: Group, *, level_of_looks: float | None = None) -> Description:
     """Describe the values of one group.
 
-    Quartiles are interpolated linearly (type 7 of Hyndman and Fan 1996, as R and numpy do by default).
-
-    Args:
-        group: the runs.
-        level_of_looks: the level of each interval, if runs were added until one was narrow; see `known_precision`.
+    Quartiles are interpolated linearly (type 7 of Hyndman and Fan 1996, as R and numpy do by default). If runs were
+    added until an interval was narrow, `level_of_looks` is the level of each; see `known_precision`.
 
     Example:
         >>> from robot_runner.analysis.statistics.grouped_runs import Group
@@ -153,15 +150,8 @@ def _interval_of_units(group: Group, variance: float, units: int, level_of_looks
 def bootstrap_interval(values: Floats, statistic: Callable[..., Any], level: float) -> Interval | None:
     """Return a bootstrap confidence interval of a statistic: bias-corrected and accelerated (BCa), else by percentiles.
 
-    Source: Efron and Tibshirani, An Introduction to the Bootstrap (1993), chapter 14.
-
-    Args:
-        values: the sample.
-        statistic: a function of an array and `axis`.
-        level: the confidence level.
-
-    Returns:
-        None for fewer than five values, or if all draws are equal.
+    Source: Efron and Tibshirani, An Introduction to the Bootstrap (1993), chapter 14. The statistic is a function of an
+    array and `axis`. The result is None for fewer than five values, or if all draws are equal.
     """
     if len(values) < _LEAST_FOR_BOOTSTRAP or np.ptp(values) == 0:
         return None

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import lru_cache
 from itertools import combinations_with_replacement
 from typing import TYPE_CHECKING, NamedTuple
@@ -48,11 +48,8 @@ def carried_over(
 ) -> Floats | None:
     """Return the columns of carry-over, the previous treatment, 0 in the first period; None if not estimable.
 
-    Args:
-        frame: the runs.
-        factors: the treatments of each factor.
-        beside: the columns of the constant, blocks and main effects.
-        mean_of: reduces columns of runs to those of their means, as `beside` is.
+    They are estimable beside the columns of the constant, blocks and main effects. `mean_of` reduces columns of runs to
+    those of their means, as `beside` is.
     """
     parts = []
     for name, levels in factors.items():
@@ -166,9 +163,16 @@ def _fitted(
     return effects, residuals_from(groups.values(), [*beside, *effects.columns], values)
 
 
+def telling_covariates(data: MeasureData) -> Iterator[tuple[str, Floats]]:
+    """Yield the covariates that are numbers in all runs and vary, with their values."""
+    for name in data.covariates:
+        values = data.covariate(name)
+        if np.isfinite(values).all() and np.ptp(values) > 0:
+            yield name, values
+
+
 def _covariates(data: MeasureData) -> list[Floats]:
-    told = [data.covariate(name) for name in data.covariates]
-    columns = [each - each.mean() for each in told if np.isfinite(each).all() and np.ptp(each) > 0]
+    columns = [each - each.mean() for _, each in telling_covariates(data)]
     return [(each / np.ptp(each))[:, None] for each in columns]
 
 
@@ -197,7 +201,6 @@ def _dummies(texts: NDArray[np.str_]) -> Floats:
 
 
 def _effects(data: MeasureData, beside: Floats) -> ModelEffects:
-    """Return all effects of the model."""
     frame, known = data.frame, data.known
     factors = data.treatments
     codes = codes_of(frame, factors)

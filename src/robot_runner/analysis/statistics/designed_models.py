@@ -17,7 +17,12 @@ from robot_runner.analysis.statistics.analysed_design import BATCH, VALUE, Measu
 from robot_runner.analysis.statistics.cell_layout import COMPLETE, MOST_FACTORS, listed_layout, relative_ranks
 from robot_runner.analysis.statistics.cell_means import CellMeans
 from robot_runner.analysis.statistics.cell_moments import averaged_out
-from robot_runner.analysis.statistics.designed_columns import block_columns, carried_over, numbers_of_levels
+from robot_runner.analysis.statistics.designed_columns import (
+    block_columns,
+    carried_over,
+    numbers_of_levels,
+    telling_covariates,
+)
 from robot_runner.analysis.statistics.effect_coding import Factors, Term, coded_columns
 from robot_runner.analysis.statistics.grouped_runs import numbered
 from robot_runner.analysis.statistics.known_design import role_column
@@ -37,6 +42,7 @@ DesignedModel = StrataModel | LenthModel | SurfaceModel
 
 _ONE_VARIANCE = "One variance serves all runs."
 
+_NO_INTERACTIONS = "Interactions cannot be estimated: there are too few runs."
 _BLOCKS = "blocks"
 
 
@@ -45,11 +51,7 @@ def designed_model_of(
 ) -> CellMeans | DesignedModel | NotComputed | None:
     """Return the model that the design of a measure requires; None for full factorials and complete blocks.
 
-    Args:
-        data: the measure.
-        estimand: of the plan.
-        statistic: which tests several contrasts at once.
-        values: replace those of the measure, (..., runs): for many simulated experiments at once.
+    `values` replace those of the measure, (..., runs), for many simulated experiments at once.
     """
     if data.known.is_plain:
         return None
@@ -92,20 +94,13 @@ def _fitted(
 ) -> CellMeans | DesignedModel | NotComputed | None:
     """Return the model of means of runs.
 
-    Args:
-        data: the measure.
-        values: (..., runs).
-        unit: the mean that each run belongs to; None if each run is one.
-        estimand: of the plan.
-        statistic: which tests several contrasts at once.
-        within: see `_Fitting`.
+    `unit` is the mean that each run belongs to; None if each run is one. For `within`, see `_Fitting`.
     """
     if estimand is Estimand.RANK:
         values = relative_ranks(values, data.batches if data.is_extended else None)
     if unit is None or int(unit.max()) + 1 == len(unit):
         return _Fitting(data, values, data).model(estimand, statistic)
-    fitting = replace(_averaged(data, values, unit), within=within)
-    model = fitting.model(estimand, statistic)
+    model = replace(_averaged(data, values, unit), within=within).model(estimand, statistic)
     if not isinstance(model, StrataModel):
         return model
     periods = numbered(data.frame, [role_column(data.known.period)]) if data.known.period else None
@@ -218,10 +213,7 @@ class _Fitting:
         parts = [self._mean_of(block_columns(self.runs, name)) for name in self.data.known.blocks]
         if self.data.is_extended:
             parts.append(self._mean_of(pd.get_dummies(self.runs.batches, dtype=np.float64).to_numpy()))
-        for name in self.data.covariates:
-            covariate = self.data.covariate(name)
-            if np.isfinite(covariate).all() and np.ptp(covariate) > 0:
-                parts.append(((covariate - covariate.mean()) / covariate.std())[:, None])
+        parts += [((each - each.mean()) / each.std())[:, None] for _, each in telling_covariates(self.data)]
         return np.column_stack(parts) if parts else np.empty((len(self.data.frame), 0))
 
     def _mean_of(self, columns: Floats) -> Floats:
@@ -234,7 +226,7 @@ class _Fitting:
         terms, notes = self._terms, []
         if len(self.data.frame) - rank - sum(map(self.factors.size, terms)) < 1:
             terms = tuple(term for term in terms if len(term) == 1)
-            notes.append("Interactions cannot be estimated: there are too few runs.")
+            notes.append(_NO_INTERACTIONS)
         blocks, responses = self._blocks, responses_of(self.data)
         if known.period:
             before = self._carried_over(blocks)
@@ -259,10 +251,8 @@ class _Fitting:
     ) -> StrataModel | NotComputed | None:
         """Return a model whose reason says what effects within units are compared with.
 
-        Args:
-            found: the model.
-            runs: the end of the reason, where it is the variation of runs.
-            responses: the beginning of that end, where it is how units vary in their response to each effect.
+        The reason ends with `runs` where this is the variation of runs, and with what begins with `responses` where it
+        is how units vary in their response to each effect.
         """
         if not isinstance(found, StrataModel):
             return found
@@ -294,7 +284,6 @@ class _Fitting:
     # Crossover.
 
     def _carried_over(self, blocks: Floats) -> Floats | None:
-        """Return the columns of carry-over; None if it is not estimable."""
         main = [each.columns for each in self._hypotheses(tuple((name,) for name in self.factors)).values()]
         beside = np.column_stack([np.ones(len(blocks)), blocks, *main])
         return carried_over(self.runs.frame, self.factors, beside, self._mean_of)
@@ -308,8 +297,7 @@ class _Fitting:
         treatments = np.column_stack([each.columns for each in self._hypotheses(terms).values()])
         spread: dict[Term, Hypothesis] = {("before",): Hypothesis(before, np.eye(count))}
         told: tuple[TestMethod, str, tuple[str, ...]] = (TestMethod.CROSSOVER, "", ())
-        beside = np.column_stack([blocks, treatments])
-        found = fit_strata(self.factors, spread, values, beside, None, told, responses)
+        found = fit_strata(self.factors, spread, values, np.column_stack([blocks, treatments]), None, told, responses)
         what = "it is in the model" if known.carry_over else "a washout was planned, and it is not in the model"
         if not isinstance(found, StrataModel):
             return f"What is carried over from the treatment before could not be tested; {what}."
@@ -322,19 +310,19 @@ class _Fitting:
 
     def _split_plot(self) -> StrataModel | NotComputed | None:
         """Fit both strata; None if whole plots are unequal, where a mixed model is fitted instead."""
-        plots = self.data.plots
-        terms = self._terms
         reason = (
             f"Some factors change from one {self.data.known.whole_plot} to the next only: they are compared with how "
             "these vary."
         )
-        told: tuple[TestMethod, str, tuple[str, ...]] = (TestMethod.SPLIT_PLOT, reason, ())
-        responses = responses_of(self.data)
-        found = fit_strata(self.factors, self._hypotheses(terms), self.values, self._blocks, plots, told, responses)
+        plots, responses = self.data.plots, responses_of(self.data)
+
+        def fitted(terms: tuple[Term, ...], *notes: str) -> StrataModel | NotComputed | None:
+            effects, told = self._hypotheses(terms), (TestMethod.SPLIT_PLOT, reason, notes)
+            return fit_strata(self.factors, effects, self.values, self._blocks, plots, told, responses)
+
+        found = fitted(self._terms)
         if isinstance(found, NotComputed):
-            main = tuple(term for term in terms if len(term) == 1)
-            told = (TestMethod.SPLIT_PLOT, reason, ("Interactions cannot be estimated: there are too few runs.",))
-            found = fit_strata(self.factors, self._hypotheses(main), self.values, self._blocks, plots, told, responses)
+            found = fitted(tuple(term for term in self._terms if len(term) == 1), _NO_INTERACTIONS)
         runs = "The others are compared with how runs vary within them. One variance serves each stratum."
         return self._compared(found, runs, "Each other effect is compared")
 

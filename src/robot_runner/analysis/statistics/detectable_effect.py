@@ -73,27 +73,19 @@ def units_of(data: MeasureData) -> Units | NotComputed:
     if not data.is_blocked:
         return Units([len(group.values) for group in data.groups(data.factors)])
     (name,) = data.factors
-    held: dict[str, set[str]] = {}
-    for block, treatment in zip(data.blocks, data.frame[name].astype("str"), strict=True):
-        held.setdefault(block, set()).add(treatment)
-    if max(map(len, held.values())) == 1:
-        only = [next(iter(each)) for each in held.values()]
+    held = data.frame[name].astype("str").groupby(data.blocks).agg(set)
+    if max(map(len, held)) == 1:
+        only = [next(iter(each)) for each in held]
         return Units([only.count(level) for level in data.levels(name)], are_blocks=True)
     levels = data.levels(name)
-    complete = sum(len(each) == len(levels) for each in held.values())
+    complete = sum(len(each) == len(levels) for each in held)
     if complete < COMPLETE * len(held):
         return NotComputed("power", "it is computed for runs that stand by themselves, and for complete blocks.")
     return Units([complete] * len(levels), are_blocks=True, are_shared=True)
 
 
 def power_of(groups: Sequence[Group], units: Units, alpha: float) -> Power | NotComputed:
-    """Return the power for the groups of one factor: of a t-test for two, of an analysis of variance for more.
-
-    Args:
-        groups: the runs of each treatment.
-        units: the experimental units.
-        alpha: the level of significance.
-    """
+    """Return the power for the groups of one factor: of a t-test for two, of an analysis of variance for more."""
     sizes = units.sizes
     if len(groups) < 2 or min(sizes) < 2:  # noqa: PLR2004 - a single run has no spread
         of = "blocks" if units.are_blocks else "groups of two runs"
@@ -124,15 +116,7 @@ def repetitions_needed(
 ) -> int | None:
     """Return how many runs each group needs, or how many blocks, to detect an effect with this power.
 
-    Args:
-        effect: Cohen's d for two groups, Cohen's f for more.
-        groups: the number of groups.
-        alpha: the level of significance.
-        power: the probability of detecting the effect, 0..1.
-        in_blocks: whether groups are compared within complete blocks.
-
-    Returns:
-        None if no reasonable number suffices.
+    The effect is Cohen's d for two groups, Cohen's f for more. None if no reasonable number suffices.
 
     Example:
         >>> repetitions_needed(0.8, groups=2)

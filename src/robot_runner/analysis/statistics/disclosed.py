@@ -108,7 +108,6 @@ class Adjustment:
             cannot be computed.
         spread: the standard deviation within combinations, without covariates.
         residual_spread: the same, with covariates.
-        warnings: sentences on problems of the covariates.
     """
 
     slopes: tuple[Slope, ...]

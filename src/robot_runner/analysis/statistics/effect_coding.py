@@ -95,14 +95,13 @@ class Factors(dict[str, list[str]]):
                 left[parent] = [text for text in left.get(parent, self[parent]) if text in wanted]
         return " and ".join(f"{parent}={' or '.join(texts)}" for parent, texts in left.items())
 
-    @property
-    def in_words(self) -> str:
-        """A note on where conditional factors are tested, and how the means of their parents are weighted."""
+    def in_words(self, mean: str, counts: str) -> str:
+        """Return a note on where conditional factors are tested, and what counts in the means of their parents."""
         told = [f"{name} within {self.within([name])}" for name in self.conditions]
         parents = enumerated(list(dict.fromkeys(parent for of in self.conditions.values() for parent in of)))
         return (
-            f"Some factors apply to some runs only, and are tested among these: {enumerated(told)}. In a mean of "
-            f"{parents}, each treatment of a factor that is nested within counts the same."
+            f"Some factors apply to some runs only, and are tested among these: {enumerated(told)}. In a {mean} of "
+            f"{parents}, {counts}."
         )
 
     @property
@@ -111,11 +110,7 @@ class Factors(dict[str, list[str]]):
         return math.prod(map(len, self.values()))
 
     def numbers(self, codes: Mapping[str, Numbers]) -> Numbers:
-        """Return the index of each run's combination, the last factor changing fastest.
-
-        Args:
-            codes: the index of each run's treatment, by factor.
-        """
+        """Return the index of each run's combination from those of its treatments; the last factor changes fastest."""
         number = np.zeros(len(next(iter(codes.values()), ())), dtype=np.intp)
         for name, levels in self.items():
             number = number * len(levels) + codes[name]
@@ -124,8 +119,7 @@ class Factors(dict[str, list[str]]):
     def weights(self, treatments: Mapping[str, str]) -> Floats:
         """Return the weights of the combinations in a marginal mean, equal over the other factors.
 
-        Args:
-            treatments: by factor; treatments of all factors select a single combination.
+        Treatments of all factors select a single combination.
         """
         rows = [
             np.array([float(level == treatments[name]) for level in levels])
@@ -153,12 +147,7 @@ class Factors(dict[str, list[str]]):
         return np.concatenate([np.ones(1), *parts])
 
     def columns(self, codes: Mapping[str, Numbers], terms: Sequence[Term]) -> dict[Term, Floats]:
-        """Return the sum-coded columns of effects; 0 where factors do not apply.
-
-        Args:
-            codes: as `codes_of` returns them.
-            terms: the effects.
-        """
+        """Return the sum-coded columns of effects, from what `codes_of` returns; 0 where factors do not apply."""
         sizes = {name: len(levels) for name, levels in self.items()}
         return {term: coded_columns(codes, sizes, term) for term in terms}
 
@@ -176,13 +165,7 @@ def kron(parts: Sequence[Floats], start: Floats) -> Floats:
 
 
 def coded_columns(codes: Mapping[str, Numbers], sizes: Mapping[str, int], term: Sequence[str]) -> Floats:
-    """Return the columns of an effect, (runs, degrees of freedom).
-
-    Args:
-        codes: the index of each run's treatment, by factor.
-        sizes: the number of treatments of each factor.
-        term: its factors.
-    """
+    """Return the columns of an effect, (runs, degrees of freedom), from the index of each run's treatment."""
     columns = np.ones((len(codes[term[0]]), 1))
     for name in term:
         mine = sum_coding(sizes[name])[codes[name]]

@@ -75,19 +75,9 @@ def cohens_d(
     distribution at the t-test of the difference (Cumming and Finch 2001; with unequal variances Delacre et al., Why
     Hedges' g*s based on the non-pooled standard deviation should be reported with Welch's t-test, 2021). Else it
     combines the intervals of the difference and of the standard deviation. Both exclude 0 if and only if the test is
-    significant.
-
-    Args:
-        difference: of two means.
-        error: its standard error.
-        freedom: the degrees of freedom of the standard error.
-        spread: the standard deviation.
-        parts: the components of the variance; none if it is known as precisely as the difference.
-        level: the confidence level.
-        name: of the effect size.
-
-    Returns:
-        None without variation; an effect size without interval if that is beyond floating-point numbers.
+    significant. The error and the degrees of freedom are those of the difference. The parts are the components of the
+    variance, `spread` squared; there are none if it is known as precisely as the difference. The result is None
+    without variation, and has no interval where that is beyond floating-point numbers.
 
     Example:
         >>> round(cohens_d(2.0, 0.5, 18, 1.0).interval.low, 2)
@@ -121,16 +111,9 @@ def omega_squared(
     The effect is on the means of all combinations, with equal weights. If the standard deviation is known as precisely
     as effects are, the interval inverts the noncentral F distribution at the test of the effect (Steiger 2004); else it
     is computed like that of Cohen's d. Its level is 1 - 2 alpha, so it excludes 0 if and only if the test, which is
-    one-sided, is significant.
-
-    Args:
-        f_value: of the test; infinite if its p-value is 0 in floating-point numbers.
-        freedom: its degrees of freedom.
-        variance: the mean of the squared effects on all combinations.
-        spread: the standard deviation.
-        parts: the components of the variance; none if it is known as precisely as effects are.
-        alpha: the level of significance.
-        is_partial: whether the effects of other factors are disregarded.
+    one-sided, is significant. F is infinite if its p-value is 0 in floating-point numbers, and `variance` is the mean
+    of the squared effects on all combinations; for the parts see `cohens_d`. A partial one disregards the effects of
+    other factors.
     """
     if not (spread > 0 and f_value > 0 and variance > 0):
         return None
@@ -175,15 +158,11 @@ def _is_known_apart(parts: Sequence[SpreadPart], freedom: float) -> bool:
 def _ratio_ends(limits: tuple[float, float, float], parts: Sequence[SpreadPart], level: float) -> tuple[float, float]:
     """Return the interval of a difference divided by a standard deviation that is independent of it.
 
-    The limits of both are combined by the method of variance estimates recovery for ratios (Donner and Zou,
-    Closed-form confidence intervals for functions of the normal mean and standard deviation, Statistical Methods in
-    Medical Research 21, 2012); those of the variance, a sum, are modified large-sample ones (Graybill and Wang,
-    Confidence intervals on nonnegative linear combinations of variances, JASA 75, 1980).
-
-    Args:
-        limits: the low end of the interval of the difference, the difference, the high end.
-        parts: the independent components of the variance.
-        level: the confidence level.
+    The limits of both are combined by the method of variance estimates recovery for ratios (Donner and Zou, Closed-form
+    confidence intervals for functions of the normal mean and standard deviation, Statistical Methods in Medical
+    Research 21, 2012); those of the variance, a sum, are modified large-sample ones (Graybill and Wang, Confidence
+    intervals on nonnegative linear combinations of variances, JASA 75, 1980). `limits` are the low end of the
+    interval of the difference, the difference, and the high end.
     """
     tail = (1 - level) / 2
     square = sum(part.variance for part in parts)
@@ -292,12 +271,8 @@ def cliffs_delta(pairs: Sequence[tuple[Floats, Floats]], level: float = _LEVEL) 
     of Brunner and Munzel (The Nonparametric Behrens-Fisher Problem, Biometrical Journal 42, 2000): such limits stay in
     range, and hold for groups of unequal sizes and spreads (Konietschke, Hothorn and Brunner, Rank-based multiple test
     procedures and simultaneous confidence intervals, Electronic Journal of Statistics 6, 2012). Groups that do not
-    overlap have the bound of Feng and Cliff (Monte Carlo Evaluation of Ordinal d, 2004).
-
-    Args:
-        pairs: the values of the first and the second group, for each combination of the other factors; delta is the
-            mean over these.
-        level: the confidence level.
+    overlap have the bound of Feng and Cliff (Monte Carlo Evaluation of Ordinal d, 2004). Delta is the mean over
+    the combinations of the other factors, for each of which there is a pair of groups.
 
     Example:
         >>> round(cliffs_delta([(np.array([10.0, 20.0]), np.array([20.0, 30.0]))]).value, 3)

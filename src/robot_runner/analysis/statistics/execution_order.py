@@ -61,7 +61,7 @@ def execution_order(results: Results) -> ExecutionOrder:
         return ExecutionOrder(places, is_known=True, has_times=True)
     begun = () if is_imported else attempts.drop_duplicates(RUN_ID, keep="last")[RUN_ID]
     place_of = {run_id: place for place, run_id in enumerate(begun)}
-    told = [place_of[run_id] for run_id in done[RUN_ID] if run_id in place_of]
+    told = [place_of[run_id] for run_id in done[RUN_ID] if run_id in place_of] if place_of else []
     is_told = bool(told) and len(told) == len(done)
     places = np.argsort(np.argsort(told)) + 1 if is_told else np.arange(1, len(done) + 1, dtype=np.int64)
     return ExecutionOrder(places, is_known=is_told, has_times=not is_set)

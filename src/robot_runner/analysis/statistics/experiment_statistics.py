@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -98,16 +99,15 @@ def analyse(
     for name in (*names, *others):
         on_step("statistics of measures", len(analysed), len(names) + len(others))
         analysed.append(_analysed(design, name, choices, kept, doubtful.get(name, ())))
-    done, judged = concluded([each.planned for each in analysed], kept, chosen_alpha, chosen_correction)
+    conclude = partial(concluded, plan=kept, alpha=chosen_alpha, correction=chosen_correction)
+    done, judged = conclude([each.planned for each in analysed])
     is_planned = kept is not None and not is_given
     told = tuple(replace(each, is_planned=each.is_planned and is_planned) for each in done[: len(names)])
     beside: dict[Beside, tuple[MeasureStatistics, ...]] = {}
     standings: list[Standing] = []
     for which in Beside:
         again = {each.planned.name: each.beside[which] for each in analysed if which in each.beside}
-        redone, rejudged = concluded(
-            [again.get(each.planned.name, each.planned) for each in analysed], kept, chosen_alpha, chosen_correction
-        )
+        redone, rejudged = conclude([again.get(each.planned.name, each.planned) for each in analysed])
         beside[which] = tuple(each for each in redone[: len(names)] if each.name in again)
         otherwise = Otherwise(which, {each.planned.name: each.runs[which] for each in analysed}, design.covariates)
         standings += standing_effects(told, beside[which], otherwise)

@@ -60,11 +60,7 @@ def concluded(
 ) -> tuple[tuple[MeasureStatistics, ...], tuple[HypothesisOutcome, ...]]:
     """Return measures with adjusted p-values and conclusions, and the outcome of each hypothesis.
 
-    Args:
-        measures: without adjusted p-values.
-        plan: the analysis plan; None if there is none, or if it is not followed.
-        alpha: the level of significance.
-        correction: of p-values.
+    The plan is None if there is none, or if it is not followed.
     """
     found = dict(_adjusted(measures, plan, correction))
     done = tuple(_measure(measure, found, alpha) for measure in measures)
@@ -85,12 +81,7 @@ def _adjusted(
 def families_of(
     tested: Mapping[str, Sequence[Key]], plan: AnalysisPlan | None
 ) -> Iterator[tuple[str, tuple[Key, ...]]]:
-    """Yield the families of tests, over which the error rate is controlled, with their names.
-
-    Args:
-        tested: the keys of the tests of each measure.
-        plan: the analysis plan; None if there is none.
-    """
+    """Yield the families of tests, over which the error rate is controlled, with their names."""
     left = dict.fromkeys(key for keys in tested.values() for key in keys)
     for name, keys in (*_planned(tested, plan), *((f"the effects on {each}", keys) for each, keys in tested.items())):
         family = tuple(key for key in dict.fromkeys(keys) if key in left)
@@ -111,7 +102,7 @@ def contrast_key(statement: str) -> Key:
 
 def _p_values(measures: Sequence[MeasureStatistics]) -> Iterator[tuple[Key, float]]:
     for measure in measures:
-        for effect in measure.test.effects if measure.test is not None else ():
+        for effect in measure.effects:
             if effect.p_value is not None:
                 yield effect_key(measure.name, effect.factors), effect.p_value
         for each in measure.contrasts:
@@ -119,8 +110,7 @@ def _p_values(measures: Sequence[MeasureStatistics]) -> Iterator[tuple[Key, floa
 
 
 def _of(measure: MeasureStatistics) -> list[Key]:
-    effects = measure.test.effects if measure.test is not None else ()
-    tested = [effect_key(measure.name, effect.factors) for effect in effects]
+    tested = [effect_key(measure.name, effect.factors) for effect in measure.effects]
     return [*tested, *(contrast_key(each.statement) for each in measure.contrasts)]
 
 
@@ -316,9 +306,7 @@ def _tested(hypothesis: Hypothesis, measure: MeasureStatistics | None) -> Effect
         return None
     if hypothesis.is_contrast:
         return next((each for each in measure.contrasts if each.statement == hypothesis.statement), None)
-    if measure.test is None:
-        return None
-    return next((each for each in measure.test.effects if set(each.factors) == set(hypothesis.factors)), None)
+    return next((each for each in measure.effects if set(each.factors) == set(hypothesis.factors)), None)
 
 
 def _result_in_words(tested: Effect | ContrastTest, measure: MeasureStatistics, hypothesis: Hypothesis) -> str:

@@ -65,11 +65,7 @@ def numbered(frame: pd.DataFrame, columns: Sequence[str]) -> Numbers:
 
 
 def group_of(
-    treatments: dict[str, str],
-    values: Floats,
-    run_ids: NDArray[np.object_],
-    units: Numbers | None,
-    unit: str,
+    treatments: dict[str, str], values: Floats, run_ids: NDArray[np.object_], units: Numbers | None, unit: str
 ) -> Group:
     """Return the group of these runs; NaN values are missing."""
     present = ~np.isnan(values)

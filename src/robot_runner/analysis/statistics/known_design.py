@@ -77,9 +77,7 @@ class KnownDesign:
     def of_manifest(cls, manifest: Mapping[str, Any], columns: Iterable[str]) -> KnownDesign:
         """Return the design in a manifest; a full factorial if it has no facts.
 
-        Args:
-            manifest: of the experiment.
-            columns: of the run table; facts that name other columns are ignored.
+        Facts that name other columns than those of the run table are ignored.
         """
         design = manifest.get("design")
         facts = design.get("facts") if isinstance(design, dict) else None
@@ -90,13 +88,12 @@ class KnownDesign:
         subject, period = (next((name for name in _names(facts.get(role)) if name in known), "") for role in _CROSSED)
         whole_plot = next((name for name in _names(facts.get("whole_plot")) if name in known), "")
         base = facts.get("base")
-        is_crossover = bool(subject and period)
         return cls(
             kind=str(facts.get("kind", "")),
             blocks=tuple(name for name in dict.fromkeys(blocks) if name != whole_plot),
             subject=subject,
             period=period,
-            carry_over=is_crossover and not facts.get("washout"),
+            carry_over=bool(subject and period) and not facts.get("washout"),
             whole_plot=whole_plot,
             model=str(facts.get("model", "")),
             coding=dict(_coded(facts.get("ranges"))),

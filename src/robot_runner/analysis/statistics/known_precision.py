@@ -33,13 +33,9 @@ class KnownPrecision:
     """The precision of one measure of `repeat_until`.
 
     Attributes:
-        measure: its column.
         asked: the rule in words: the precision, and the fewest and most repetitions.
-        repetitions: the number of repetitions.
         level: the confidence level of each interval at one look, so that all looks together have 95 %.
-        is_reached: whether the required precision is reached.
         means, differences: of each combination, and between any two treatments of a factor within repetitions.
-        sentence: a summary for readers.
     """
 
     measure: str
@@ -55,9 +51,7 @@ class KnownPrecision:
 def known_precisions(results: Results, left_out: Mapping[str, Collection[str]]) -> tuple[KnownPrecision, ...]:
     """Return the precision of each measure of `repeat_until`; empty without such a rule.
 
-    Args:
-        results: the experiment.
-        left_out: the runs whose value the analysis leaves out, by measure.
+    `left_out` has the runs whose value the analysis leaves out, by measure.
     """
     return tuple(
         _known(results, measure, rules, left_out.get(measure, ())) for measure, rules in _rules(results).items()

@@ -45,12 +45,6 @@ def left_out_of(
 
     Runs that were executed out of the order of their design are left out with and without a plan: the model of the
     design is not valid for them.
-
-    Args:
-        design: of the experiment, with all runs that are done.
-        measure: its name.
-        plan: the analysis plan, if any.
-        doubtful: the runs whose value is doubtful.
     """
     data = design.data(measure)
     displaced = displaced_runs(design.results)
@@ -99,11 +93,8 @@ def _spread_rule(rule: Outliers) -> str:
 def outside(values: Floats, rule: Outliers) -> NDArray[np.bool_]:
     """Return which values of one combination are outliers by interquartile ranges or median deviations.
 
-    There are none among fewer than five values, or if the spread is 0.
-
-    Args:
-        values: (..., runs), with any number of leading axes.
-        rule: the rule; its bounds are ignored.
+    There are none among fewer than five values, or if the spread is 0. There may be any number of leading axes, (...,
+    runs). Bounds of the rule are ignored.
     """
     none = np.zeros(values.shape, dtype=bool)
     if values.shape[-1] < _LEAST:
@@ -123,12 +114,8 @@ def outside(values: Floats, rule: Outliers) -> NDArray[np.bool_]:
 def false_positives(rule: Outliers, sizes: tuple[int, int]) -> float | None:
     """Return the false positives of Welch's t at 5 % after a rule has left out outliers, in percent.
 
-    Two combinations with normal values and equal variances are simulated. The result is None for a rule with bounds
-    alone.
-
-    Args:
-        rule: for outliers.
-        sizes: the numbers of runs of the two combinations.
+    Two combinations of these sizes, with normal values and equal variances, are simulated. The result is None for a
+    rule with bounds alone.
     """
     if rule.interquartile_ranges is None and rule.median_deviations is None:
         return None

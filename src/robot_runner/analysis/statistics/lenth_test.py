@@ -88,12 +88,9 @@ class LenthModel:
     """The effects of an unreplicated two-level fraction.
 
     Attributes:
-        factors: the factors, with their treatments.
         terms: the tested effects, main effects first.
         columns: the orthogonal columns of all effects, of 1 and -1; those of `terms` come first.
         values: (..., runs).
-        reason: a sentence on why this test is used.
-        notes: further notes for readers.
     """
 
     factors: Factors
@@ -137,8 +134,7 @@ class LenthModel:
 
     def difference(self, weights: Sequence[tuple[Mapping[str, str], float]]) -> Contrast:
         """Estimate a weighted sum of marginal means; its standard error is NaN unless it is a pair of treatments."""
-        rows = [weight * self.factors.row(self.terms, treatments)[1:] for treatments, weight in weights]
-        row = np.sum(rows, axis=0)
+        row = np.sum([weight * self.factors.row(self.terms, treatments)[1:] for treatments, weight in weights], axis=0)
         found = self._contrast(self._halves[..., : len(row)] @ row)
         is_one = np.count_nonzero(row) == 1
         return found._replace(error=found.error * float(np.abs(row).max()) / 2 if is_one else found.error * math.nan)

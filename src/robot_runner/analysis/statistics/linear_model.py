@@ -18,19 +18,17 @@ from scipy import optimize, stats
 
 from robot_runner.analysis.arrays import Floats, Numbers
 from robot_runner.analysis.statistics.analysed_design import BATCH, VALUE, MeasureData
-from robot_runner.analysis.statistics.cell_layout import MOST_FACTORS
+from robot_runner.analysis.statistics.cell_layout import MOST_CELLS, MOST_FACTORS
 from robot_runner.analysis.statistics.cell_moments import NOT_AVERAGED, AveragedOut, SpreadPart, averaged_out
 from robot_runner.analysis.statistics.contrasts import Contrast, rounding_of
 from robot_runner.analysis.statistics.effect_coding import Factors, Term
+from robot_runner.analysis.statistics.nested_factors import codes_of
 from robot_runner.analysis.statistics.tested import EffectTest, NotComputed, NoVariation, TestMethod
 from robot_runner.core.words import enumerated
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-
-#: The most combinations that get a mean each: more take long to fit, and nobody can read them.
-_MOST_CELLS = 500
 
 #: The fewest factors that can be confounded with each other.
 _PAIR = 2
@@ -66,11 +64,8 @@ class FittedModel:
     """A fitted model with effects of type III: combinations have equal weights.
 
     Attributes:
-        factors: the factors, with their treatments.
-        terms: the factors of each effect, main effects first.
         blocks: the block of each value; None without blocks.
         exog: the design matrix, one row for each value.
-        fit: the estimates.
         beside: how many of the last columns of the design matrix are nuisance columns, such as those of batches.
         note: why interactions are left out; empty where they are not.
         averaged_out: the part of the variance of a run that the means of combinations in blocks average out.
@@ -129,11 +124,7 @@ class FittedModel:
             yield EffectTest(factors, self.method.value, "F", f_value, freedom, p_value, variance)
 
     def difference(self, weights: Sequence[tuple[Mapping[str, str], float]]) -> Contrast:
-        """Estimate a weighted sum of marginal means.
-
-        Args:
-            weights: treatments by factor, with the weight of their mean.
-        """
+        """Estimate a weighted sum of marginal means."""
         rows = [weight * self.factors.row(self.terms, treatments) for treatments, weight in weights]
         row = np.pad(np.sum(rows, axis=0), (0, self.beside))
         error = math.sqrt(max(0.0, float(row @ self.fit.covariance @ row)))
@@ -190,10 +181,8 @@ def fit_model(
 ) -> FittedModel | NotComputed:
     """Fit the largest model for which there are enough runs.
 
-    Args:
-        data: the measure.
-        response: replaces the values, for example by their ranks.
-        beside: further nuisance columns, (runs, columns).
+    The response replaces the values, for example by their ranks; `beside` are further nuisance columns, (runs,
+    columns).
     """
     response = response if response is not None else data.values  # noqa: PD011 - no data frame
     taken = np.empty((len(response), 0)) if beside is None else beside
@@ -208,9 +197,7 @@ def fit_model(
     terms, note = estimable_terms(factors, frame, count + (0 if blocks is None else len(set(blocks)) - 1))
     if not terms:
         return NotComputed("the test", "there are too few runs for the number of treatments.")
-    treatments = frame[list(factors)].to_dict("records")
-    exog = np.stack([factors.row(terms, {str(name): each[name] for name in each}) for each in treatments])
-    exog = np.column_stack([exog, taken])
+    exog = np.column_stack([np.ones(len(frame)), *factors.columns(codes_of(frame, factors), terms).values(), taken])
     values = frame[VALUE].to_numpy(dtype=np.float64)
     if np.linalg.matrix_rank(exog) < exog.shape[1]:
         return NotComputed("the test", _confounded_in_words(frame, factors))
@@ -317,14 +304,14 @@ def estimable_terms(factors: Factors, frame: pd.DataFrame, blocks: int) -> tuple
     """Return the effects that can be estimated from the runs, and a note on why others are left out."""
     names = tuple(factors)
     cells, possible = frame.groupby(list(names)).ngroups, factors.count
-    if cells == possible <= _MOST_CELLS and len(frame) - blocks > cells:
+    if cells == possible <= MOST_CELLS and len(frame) - blocks > cells:
         most = min(len(names), MOST_FACTORS)
         note = "" if most == len(names) else f"Interactions of more than {most} factors are left out."
         return factors.terms(most), note
     if len(frame) - blocks <= 1 + sum(len(levels) - 1 for levels in factors.values()):
         return (), ""
     why = "some combinations have no run" if cells < possible else "there are too few runs a combination"
-    if cells > _MOST_CELLS:
+    if cells > MOST_CELLS:
         why = f"there are {cells:,} combinations"
     note = f"Interactions cannot be estimated: {why}." if len(names) > 1 else ""
     return tuple((name,) for name in names), note

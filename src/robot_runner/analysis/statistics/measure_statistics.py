@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, TypeVar
 
@@ -27,11 +27,7 @@ from robot_runner.analysis.statistics.left_out import false_positives
 from robot_runner.analysis.statistics.outcome import Description, MeasureStatistics, Power
 from robot_runner.analysis.statistics.post_hoc import MOST_PAIRS, carry_out_contrast, compare_pairs, missing_intervals
 from robot_runner.analysis.statistics.proportion_contrasts import carry_out_contrast_of_proportions
-from robot_runner.analysis.statistics.proportions import (
-    carry_out_proportions,
-    compare_proportions,
-    proportions_of,
-)
+from robot_runner.analysis.statistics.proportions import carry_out_proportions, compare_proportions, proportions_of
 from robot_runner.analysis.statistics.shares import compare_shares
 from robot_runner.analysis.statistics.surface_model import SurfaceModel
 from robot_runner.analysis.statistics.tested import (
@@ -72,23 +68,17 @@ class _Gathered:
             return None
         return result
 
+    def take_all(self, results: Iterable[_Found | NotComputed]) -> tuple[_Found, ...]:
+        """Return the results that could be computed, and record the others."""
+        return tuple(each for result in results if (each := self.take(result)) is not None)
+
 
 def measure_statistics(
-    design: Design,
-    name: str,
-    choices: Choices,
-    *,
-    plan: AnalysisPlan | None = None,
-    left_out: Sequence[LeftOut] = (),
+    design: Design, name: str, choices: Choices, *, plan: AnalysisPlan | None = None, left_out: Sequence[LeftOut] = ()
 ) -> MeasureStatistics:
     """Compute the statistics of one measure from the runs that are done; p-values are not adjusted yet.
 
-    Args:
-        design: of the experiment.
-        name: the measure.
-        choices: the choices of the analysis plan.
-        plan: the analysis plan; None if there is none, or if it is not followed.
-        left_out: the values that are not used.
+    The plan is None if there is none, or if it is not followed.
     """
     every, without = design.data(name), frozenset(each.run_id for each in left_out)
     design = design if without == design.without else replace(design, without=without)
@@ -97,21 +87,16 @@ def measure_statistics(
     data = design.data(name)
     is_primary = plan is not None and name in plan.measures
     is_planned = plan is not None and name in (*plan.measures, *plan.secondary)
+    told = MeasureStatistics(name, column.unit, column.origin, is_planned, is_primary, left_out=tuple(left_out))
     answers = design.answers(name)
     if answers is not None and len(answers.frame):
-        told = MeasureStatistics(name, "%", column.origin, is_planned, is_primary, left_out=tuple(left_out))
-        return _of_answers(answers, told, gathered, choices, plan)
+        return _of_answers(answers, replace(told, unit="%"), gathered, choices, plan)
     odd = out_of_range(data.values) if data is not None else ""
     if data is None or not len(data.frame) or odd:
-        is_text = data is None and answers is None
-        why = (
-            _no_numbers(design.results.done[name].dropna().tolist()) if is_text else "no run that is done has a value."
-        )
-        why = f"the measure {odd}" if odd else why
-        missing = (NotComputed(f"statistics of {name}", why),)
-        return MeasureStatistics(
-            name, column.unit, column.origin, is_planned, is_primary, not_computed=missing, left_out=tuple(left_out)
-        )
+        why = f"the measure {odd}" if odd else "no run that is done has a value."
+        if data is None and answers is None:
+            why = _no_numbers(design.results.done[name].dropna().tolist())
+        return replace(told, not_computed=(NotComputed(f"statistics of {name}", why),))
     compared, note, apart = comparable(data)
     coarse = _too_coarse(data)
     gathered.missing += [*coarse, *apart]
@@ -128,16 +113,12 @@ def measure_statistics(
     adjustment = None
     if isinstance(model, AdjustedMeans):
         adjustment = adjustment_of(compared, model, choices, design.results.unit)
-    contrasts: list[ContrastTest | None] = []
+    contrasts: tuple[ContrastTest, ...] = ()
     if model is not None:
-        contrasts = [gathered.take(carry_out_contrast(model, each, choices)) for each in contrasts_of(plan, name)]
+        contrasts = gathered.take_all(carry_out_contrast(model, each, choices) for each in contrasts_of(plan, name))
     looks = level_of_looks(design.results, name)
-    return MeasureStatistics(
-        name,
-        column.unit,
-        column.origin,
-        is_planned,
-        is_primary,
+    return replace(
+        told,
         overall=describe(data.described_groups([])[0], level_of_looks=looks),
         by_treatment=tuple(each for factor in data.factors for each in _described(gathered, data, (factor,), looks)),
         by_combination=_described(gathered, data, data.factors, looks) if len(data.factors) > 1 else (),
@@ -145,7 +126,7 @@ def measure_statistics(
         quantiles=quantile_pairs(residuals_of(data)[0], tuple(data.frame[RUN_ID])),
         test=test,
         post_hoc=post_hoc,
-        contrasts=tuple(each for each in contrasts if each is not None),
+        contrasts=contrasts,
         drift=gathered.take(
             drift_of(data, choices.alpha, column.unit, is_ordered=execution_order(design.results).is_known)
         ),
@@ -205,7 +186,6 @@ def _of_coarse(missing: NotComputed) -> NotComputed:
 def _of_answers(
     answers: MeasureData, measure: MeasureStatistics, gathered: _Gathered, choices: Choices, plan: AnalysisPlan | None
 ) -> MeasureStatistics:
-    """Return the statistics of a yes-or-no measure."""
     hypotheses = contrasts_of(plan, measure.name)
     found = compare_shares(answers, choices, hypotheses)
     if found is None:
@@ -214,7 +194,7 @@ def _of_answers(
     else:
         test, pairs, contrasts = found.test, found.pairs, found.contrasts
         gathered.missing += found.missed
-    known = [gathered.take(each) for each in contrasts]
+    known = gathered.take_all(contrasts)
     if plan is not None and plan.covariates:
         gathered.missing.append(NotComputed("adjustment for covariates", "it is of means, and not of proportions."))
     proportions = proportions_of(answers, _MOST_DESCRIBED)
@@ -228,7 +208,7 @@ def _of_answers(
         proportions=proportions,
         test=test,
         post_hoc=pairs,
-        contrasts=tuple(each for each in known if each is not None),
+        contrasts=known,
         not_computed=tuple(gathered.missing),
     )
 
@@ -238,10 +218,7 @@ def _exact(
 ) -> tuple[MeasureTest | None, tuple[PostHoc, ...]]:
     """Return the exact test of a yes-or-no measure, and its pairs."""
     test = gathered.take(carry_out_proportions(answers, choices))
-    if test is None:
-        return None, ()
-    pairs = [gathered.take(each) for each in compare_proportions(answers, choices, MOST_PAIRS)]
-    return test, tuple(each for each in pairs if each is not None)
+    return test, () if test is None else gathered.take_all(compare_proportions(answers, choices, MOST_PAIRS))
 
 
 def _lacking(data: MeasureData) -> Iterator[LeftOut]:
@@ -297,14 +274,12 @@ def _power(gathered: _Gathered, data: MeasureData, alpha: float) -> Power | None
 def _assumptions(gathered: _Gathered, data: MeasureData, alpha: float) -> tuple[AssumptionCheck, ...]:
     """Return the checks of the residuals' normality, of equal variances, then of each group's normality."""
     groups = data.groups(data.factors) if data.factors else []
-    all_groups: list[AssumptionCheck | NotComputed] = []
+    checks: list[AssumptionCheck | NotComputed] = []
     if groups:
         left, freedom = residuals_of(data)
         of_residuals = normality(left, alpha, freedom=freedom)
         kept_apart = tuple(grouped(data)) or (("blocks",) if data.is_blocked else ())
-        all_groups = [of_residuals, equal_variances(groups, alpha, within=kept_apart)]
-    if len(groups) > _MOST_DESCRIBED:
-        groups = []
-    checks = [*all_groups, *(normality(group.values, alpha, group.treatments) for group in groups)]
-    found = [gathered.take(check) for check in checks]
-    return tuple(check for check in found if check is not None)
+        checks = [of_residuals, equal_variances(groups, alpha, within=kept_apart)]
+    if len(groups) <= _MOST_DESCRIBED:
+        checks += [normality(group.values, alpha, group.treatments) for group in groups]
+    return gathered.take_all(checks)

@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from functools import cached_property, lru_cache
+from graphlib import TopologicalSorter
 from itertools import product
 from typing import TYPE_CHECKING
 
@@ -68,19 +69,11 @@ class NestedFactors(Factors):
     def cells(self) -> tuple[tuple[str, ...], ...]:
         """All possible combinations, in the order of treatments; the last factor changes fastest."""
         found: list[dict[str, str]] = [{}]
-        for name in self._parents_first:
+        for name in TopologicalSorter({name: self.conditions.get(name, ()) for name in self}).static_order():
             found = [{**cell, name: text} for cell in found for text in self._texts(name, cell)]
         order = {name: {text: at for at, text in enumerate([*levels, IDLE])} for name, levels in self.items()}
         every = [tuple(cell[name] for name in self) for cell in found]
         return tuple(sorted(every, key=lambda cell: [order[name][text] for name, text in zip(self, cell, strict=True)]))
-
-    @property
-    def _parents_first(self) -> list[str]:
-        """The factors, parents before the factors that are nested in them."""
-        order: list[str] = []
-        while len(order) < len(self):
-            order += [name for name in self if name not in order and set(self.conditions.get(name, ())) <= set(order)]
-        return order
 
     def _texts(self, name: str, cell: Mapping[str, str]) -> list[str]:
         applies = all(cell[parent] in wanted for parent, wanted in self.conditions.get(name, {}).items())
@@ -89,8 +82,7 @@ class NestedFactors(Factors):
     def numbers(self, codes: Mapping[str, Numbers]) -> Numbers:
         """Return the index of each run's combination among the cells.
 
-        Args:
-            codes: the index of each run's treatment, by factor; one more than the last where it does not apply.
+        The index of a treatment is one more than the last where its factor does not apply.
         """
         sizes = [len(levels) + 1 for levels in self.values()]
         known = [
@@ -114,8 +106,7 @@ class NestedFactors(Factors):
     def weights(self, treatments: Mapping[str, str]) -> Floats:
         """Return the weights of the cells in a marginal mean, equal over the treatments of the other factors.
 
-        Args:
-            treatments: by factor; may include `inactive` for a single combination.
+        For a single combination, treatments may include `inactive`.
         """
         named = [(list(self).index(name), text) for name, text in treatments.items()]
         found = self._shares * [all(cell[at] == text for at, text in named) for cell in self.cells]
@@ -149,8 +140,7 @@ class NestedFactors(Factors):
 
     def _columns_of(self, terms: Sequence[Term]) -> Floats:
         """Return the columns of effects, (cells, columns); 0 where an effect does not apply to a cell."""
-        parts = [np.ones((len(self.cells), 1)), *map(self._coded, terms)]
-        return np.column_stack(parts)
+        return np.column_stack([np.ones((len(self.cells), 1)), *map(self._coded, terms)])
 
     def _coded(self, term: Sequence[str]) -> Floats:
         places = [list(self).index(name) for name in term]
@@ -183,11 +173,8 @@ def factors_of(treatments: Mapping[str, Sequence[str]], conditions: Conditions) 
 def conditions_of(planned: pd.DataFrame) -> Conditions:
     """Return the conditions of conditional factors, derived from the combinations of a run table.
 
-    A factor is conditional if the treatments of other factors determine whether it is `inactive`, each by itself.
-
-    Args:
-        planned: the treatments of each factor as texts, one row for each combination. Of columns with the same
-            information, the last is taken.
+    A factor is conditional if the treatments of other factors determine whether it is `inactive`, each by itself. The
+    planned treatments are texts, one row for each combination. Of columns with the same information, the last is taken.
 
     Example:
         >>> import pandas as pd

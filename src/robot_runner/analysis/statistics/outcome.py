@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from robot_runner.analysis.statistics.tested import (
         AssumptionCheck,
         ContrastTest,
+        Effect,
         Interval,
         Magnitude,
         MeasureTest,
@@ -131,7 +132,6 @@ class Drift:
             the order of execution. `residuals` and `run_ids` have the same order.
         correlation: Spearman's rho.
         slope: Theil-Sen slope, in the measure's unit per run.
-        is_significant: whether the drift is significant at alpha.
         is_confounded: whether treatments are unevenly spread over the order, so that drift may look like an effect.
         warning: a sentence for readers; without a significant drift, on runs in a row that are alike; or empty.
         within: the names of the blocks, or `treatments`, within which places are compared; empty for one treatment.
@@ -171,7 +171,6 @@ class Power:
         target_power: the power of all figures.
         detectable_effect: the smallest effect with the target power; None if there is none.
         needed: the runs per group, or the blocks (see `counted`), for a small, a medium and a large effect.
-        note: a note on the assumptions.
         counted: the unit of `needed`: `runs of a group`, `blocks of a group` or `blocks`.
     """
 
@@ -213,10 +212,8 @@ class MeasureStatistics:
     """The statistics of one measure.
 
     Attributes:
-        name: its column.
         origin: `measured`, `simulated`, `estimated`, or None if it is unknown.
         is_planned: whether its analysis was fixed before the experiment; else it is exploratory.
-        is_primary: whether it is a primary measure of the plan.
         overall: of all runs; None if it is not a number.
         by_treatment: of each treatment of each factor, factors in their order.
         by_combination: of each combination; empty for a single factor.
@@ -224,7 +221,6 @@ class MeasureStatistics:
             depends on them.
         post_hoc: pairs of treatments of each factor; of combinations if factors interact.
         contrasts: of the hypotheses with a contrast or a bound.
-        not_computed: what could not be computed and why.
         left_out: the values that are left out of everything here, except that descriptions and Levene's test include
             those that only lack a covariate.
         rule_false_positives: the simulated false positives at 5 % due to the plan's outlier rule, in percent, for two
@@ -258,6 +254,11 @@ class MeasureStatistics:
     proportions: Proportions | None = None
     kept_together: tuple[str, ...] = ()
 
+    @property
+    def effects(self) -> tuple[Effect, ...]:
+        """The tested effects; none without a test."""
+        return () if self.test is None else self.test.effects
+
 
 @dataclass(frozen=True, slots=True)
 class DesignSummary:
@@ -266,11 +267,9 @@ class DesignSummary:
     Attributes:
         factors: those with two or more treatments among the runs that are done.
         constant_factors: those with one treatment.
-        block: the column of the blocks, or None.
         used: the number of used runs: those that are done.
         left_out: the number of runs of the table that failed or are still to do.
         smallest_group, largest_group: the fewest and the most runs of a combination.
-        sentence: the summary as a sentence.
         kind: of the design, its name in the manifest.
         within: the conditional factors, each with its condition, as in `Sensor=camera`.
     """
@@ -307,7 +306,6 @@ class HypothesisOutcome:
         p_value: of its effect or contrast; None if it could not be tested.
         adjusted_p_value: after correction for the family of tests.
         is_supported: whether it is significant at alpha; None if it could not be tested.
-        conclusion: one sentence.
     """
 
     hypothesis: Hypothesis
@@ -322,14 +320,11 @@ class Standing:
     """Whether a conclusion stands in a sensitivity analysis, such as without doubtful values.
 
     Attributes:
-        factors: of the effect.
         statement: of the hypothesis; empty for an effect.
         left_out: the runs that are left out, in the sensitivity analysis or in the planned one.
         p_value: of the planned analysis; adjusted for a hypothesis.
         p_value_without: of the sensitivity analysis; None if it could not be computed.
         stands: None if this is unknown.
-        conclusion: one sentence.
-        beside: which sensitivity analysis.
     """
 
     measure: str
@@ -353,8 +348,6 @@ class ExperimentStatistics:
     """The statistics of an experiment.
 
     Attributes:
-        alpha: the level of significance.
-        correction: of p-values for the number of tests.
         is_planned: whether measures, alpha and hypotheses were fixed before the experiment.
         measures: the statistics of each measure, planned ones first.
         warnings: threats to validity: drift, imbalance, runs left out.

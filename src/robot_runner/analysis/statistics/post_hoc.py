@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import TYPE_CHECKING, Self
@@ -22,13 +22,12 @@ from robot_runner.analysis.statistics.tested import (
     Comparison,
     ContrastTest,
     EffectSize,
-    Interval,
     MeasureTest,
     NotComputed,
     PostHoc,
     TestMethod,
 )
-from robot_runner.analysis.statistics.tests import AnyModel, Choices, check_estimand, levels_of, planned_model_of
+from robot_runner.analysis.statistics.tests import AnyModel, Choices, check_estimand, planned_model_of
 from robot_runner.analysis.wording import listed
 from robot_runner.core.design.analysis_plan import Correction, Estimand
 from robot_runner.core.words import combination_label
@@ -47,7 +46,6 @@ _DIGITS = 13
 MOST_PAIRS = 105
 
 _QUANTITIES = {Estimand.MEAN: "means", Estimand.TRIMMED_MEAN: "trimmed means", Estimand.RANK: "relative ranks"}
-_T = "t distribution"
 _WHY_MISSING = {
     "Cliff's delta": "a group has a single run.",
     "Vargha-Delaney A12": "a group has a single run.",
@@ -82,18 +80,13 @@ def compare_pairs(
     for factors in _compared(data, test, choices.alpha):
         groups = [group.treatments for group in data.applied_groups(factors) if len(group.values)]
         chosen = list(_chosen_pairs(data, groups))
-        pairs = len(chosen)
-        if pairs > MOST_PAIRS:
+        if len(chosen) > MOST_PAIRS:
             what = f"pairwise comparisons of {' x '.join(factors)}"
-            missing.append(NotComputed(what, f"{len(groups)} groups make {pairs:,} pairs: compare chosen ones."))
+            missing.append(NotComputed(what, f"{len(groups)} groups make {len(chosen):,} pairs: compare chosen ones."))
             continue
         ranked = _RankSizes.among(data, model, factors, choices)
         with quiet():
-            every = [_comparison(model, beside, pair, choices, ranked) for pair in chosen]
-        after = iter(adjusted([each.p_value for each in every if each.p_value is not None], choices.correction))
-        compared = tuple(
-            each if each.p_value is None else _with_adjusted(each, next(after), choices.alpha) for each in every
-        )
+            compared = with_adjusted([_comparison(model, beside, pair, choices, ranked) for pair in chosen], choices)
         method = _PAIRED[model.method] if len(data.factors) > 1 else _PAIRED[model.method].removesuffix(_MARGINAL)
         quantity, within = _QUANTITIES[choices.estimand], data.within(factors)
         found.append(PostHoc(factors, method, choices.correction, quantity, compared, within))
@@ -143,6 +136,22 @@ def adjusted(p_values: Sequence[float], correction: Correction) -> list[float]:
     return [float(value) for value in holm]
 
 
+def adjusted_known(p_values: Iterable[float | None], correction: Correction) -> list[float | None]:
+    """Return p-values adjusted for the number of those that are known; the others stay None."""
+    found = list(p_values)
+    after = iter(adjusted([each for each in found if each is not None], correction))
+    return [None if each is None else next(after) for each in found]
+
+
+def with_adjusted(pairs: Sequence[Comparison], choices: Choices) -> tuple[Comparison, ...]:
+    """Return pairs with p-values adjusted for their number."""
+    after = adjusted_known((pair.p_value for pair in pairs), choices.correction)
+    return tuple(
+        replace(pair, adjusted_p_value=value, is_significant=None if value is None else value < choices.alpha)
+        for pair, value in zip(pairs, after, strict=True)
+    )
+
+
 def carry_out_contrast(model: AnyModel, hypothesis: Hypothesis, choices: Choices) -> ContrastTest | NotComputed:
     """Test the contrast of a hypothesis, or that it is within a bound (two one-sided tests) or below one (one)."""
     found = contrast_of(model, hypothesis, choices.estimand)
@@ -152,9 +161,7 @@ def carry_out_contrast(model: AnyModel, hypothesis: Hypothesis, choices: Choices
     if not (error > 0 and math.isfinite(freedom)):
         return NotComputed(test_of(hypothesis), "the values of its treatments do not vary.")
     level = 1 - (2 if hypothesis.has_bound else 1) * choices.alpha
-    p_value = float(p_value_of_contrast(found, hypothesis))
-    reach = found.reach(1 - level)
-    interval = Interval(estimate - reach, estimate + reach, level, _T)
+    interval, p_value = found.interval(1 - level), float(p_value_of_contrast(found, hypothesis))
     return ContrastTest(hypothesis.statement, estimate, interval, estimate / error, freedom, p_value)
 
 
@@ -163,7 +170,7 @@ def contrast_of(model: AnyModel, hypothesis: Hypothesis, estimand: Estimand) -> 
     if (hypothesis.within or hypothesis.below) and estimand is Estimand.RANK:
         why = "a bound in the unit of the measure says nothing of ranks, which differ by 1 at most: compare means."
         return NotComputed(test_of(hypothesis), why)
-    weights = weights_of(hypothesis, levels_of(model))
+    weights = weights_of(hypothesis, model.factors)
     if isinstance(weights, NotComputed):
         return weights
     (factor,) = hypothesis.factors
@@ -172,12 +179,7 @@ def contrast_of(model: AnyModel, hypothesis: Hypothesis, estimand: Estimand) -> 
 
 
 def weights_of(hypothesis: Hypothesis, levels: Mapping[str, Sequence[str]]) -> Mapping[str, float] | NotComputed:
-    """Return the weight of each treatment in the contrast of a hypothesis.
-
-    Args:
-        hypothesis: with a contrast or a bound.
-        levels: the treatments that are compared, by factor.
-    """
+    """Return the weight of each treatment in the contrast of a hypothesis."""
     (factor,) = hypothesis.factors
     weights = hypothesis.contrast
     if factor in levels and weights is None and len(levels[factor]) == 2:  # noqa: PLR2004
@@ -228,10 +230,6 @@ def _compared(data: MeasureData, test: MeasureTest, alpha: float) -> Iterator[tu
             yield effect.factors
 
 
-def _with_adjusted(pair: Comparison, adjusted_p_value: float, alpha: float) -> Comparison:
-    return replace(pair, adjusted_p_value=adjusted_p_value, is_significant=adjusted_p_value < alpha)
-
-
 def _comparison(
     model: AnyModel, beside: AnyModel | NotComputed, pair: tuple[Group, Group], choices: Choices, ranked: _RankSizes
 ) -> Comparison:
@@ -239,23 +237,18 @@ def _comparison(
     found = model.difference(weights)
     estimate, error, freedom = (float(each) for each in found)
     is_known = error > 0 and math.isfinite(freedom) and freedom > 0
-    check = None if isinstance(beside, NotComputed) else _p_value(beside.difference(weights))
-    interval = None
-    if is_known:
-        reach = found.reach(choices.alpha)
-        interval = Interval(estimate - reach, estimate + reach, 1 - choices.alpha, _T)
     return Comparison(
         first=combination_label(pair[0].values()),
         second=combination_label(pair[1].values()),
         difference=estimate,
-        interval=interval,
+        interval=found.interval(choices.alpha) if is_known else None,
         statistic_name="t",
         statistic=estimate / error if is_known else None,
         degrees_of_freedom=freedom if is_known else None,
         p_value=_p_value(found),
         adjusted_p_value=None,
         is_significant=None,
-        check_p_value=check,
+        check_p_value=None if isinstance(beside, NotComputed) else _p_value(beside.difference(weights)),
         effect_sizes=(*_standardised(model, (estimate, error, freedom), choices), *ranked.of_pair(pair))
         if is_known
         else (),
@@ -331,8 +324,7 @@ class _RankSizes:
         first, second = (self.values.get(tuple(treatments.values()), {}) for treatments in pair)
         delta = cliffs_delta([(own, second[others]) for others, own in first.items() if others in second], self.level)
         if delta is not None:
-            yield delta
-            yield vargha_delaney(delta)
+            yield from (delta, vargha_delaney(delta))
 
 
 def _complete_blocks(data: MeasureData) -> MeasureData | None:

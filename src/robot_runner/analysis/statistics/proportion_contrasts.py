@@ -29,10 +29,7 @@ def carry_out_contrast_of_proportions(
 ) -> ContrastTest | NotComputed:
     """Test the contrast of a hypothesis, or that it is within a bound or below one, in percentage points.
 
-    Args:
-        data: the measure, 1 for yes and 0 for no.
-        hypothesis: with a contrast or a bound.
-        choices: for the level of significance.
+    Values are 1 for yes and 0 for no.
     """
     problem = problem_of(data, is_of_bound=hypothesis.has_bound)
     if problem:

@@ -21,7 +21,7 @@ from scipy import stats
 from robot_runner.analysis.arrays import Floats
 from robot_runner.analysis.statistics.analysed_design import MeasureData
 from robot_runner.analysis.statistics.outcome import Proportion, Proportions
-from robot_runner.analysis.statistics.post_hoc import adjusted
+from robot_runner.analysis.statistics.post_hoc import with_adjusted
 from robot_runner.analysis.statistics.score_intervals import DIFFERENCE, Share, score_ends, sum_ends, sum_of
 from robot_runner.analysis.statistics.tested import (
     Comparison,
@@ -31,7 +31,6 @@ from robot_runner.analysis.statistics.tested import (
     NotComputed,
     PostHoc,
     TestMethod,
-    named_within,
 )
 from robot_runner.analysis.statistics.tests import Choices, stranded_in_words
 from robot_runner.core.words import counted, enumerated, listed
@@ -63,9 +62,7 @@ _ROUNDING = 1e-7
 def proportions_of(data: MeasureData, most_groups: int) -> Proportions:
     """Return the proportions of yes: over all runs, for each treatment, and for each combination.
 
-    Args:
-        data: the measure, 1 for yes and 0 for no.
-        most_groups: if there are more groups, none is described.
+    Values are 1 for yes and 0 for no. If there are more groups than `most_groups`, none is described.
     """
 
     def by(factors: tuple[str, ...]) -> tuple[Proportion, ...]:
@@ -109,9 +106,7 @@ def _interval(group: Group, share: float, n: float) -> Interval | None:
 def carry_out_proportions(data: MeasureData, choices: Choices) -> MeasureTest | NotComputed:
     """Return the tests of the main effects, without adjusted p-values and conclusions.
 
-    Args:
-        data: the measure, 1 for yes and 0 for no.
-        choices: for the level of significance; the estimand is ignored.
+    Values are 1 for yes and 0 for no; the estimand is ignored.
     """
     problem = problem_of(data)
     if problem:
@@ -148,12 +143,8 @@ def problem_of(data: MeasureData, *, is_of_bound: bool = False) -> str:
 
 def _notes(data: MeasureData, effects: Sequence[Effect]) -> Iterator[str]:
     if (treatments := data.treatments).conditions:
-        told = [named_within(name, treatments.within([name])) for name in treatments.conditions]
-        parents = dict.fromkeys(parent for of in treatments.conditions.values() for parent in of)
-        yield (
-            f"Some factors apply to some runs only, and are tested among these: {enumerated(told)}. In a proportion of "
-            f"{enumerated(list(parents))}, each run counts the same, whatever it has of a factor that is nested within."
-        )
+        counts = "each run counts the same, whatever it has of a factor that is nested within"
+        yield treatments.in_words("proportion", counts)
     if len(data.factors) > 1:
         yield "Interactions of proportions are not tested: compare the proportions of the combinations."
     unknown = [each.factors[0] for each in effects if each.p_value is None]
@@ -218,11 +209,7 @@ class Strata:
     def of_each(cls, data: MeasureData, factor: str, levels: Sequence[str], answers: Floats) -> Iterator[Self]:
         """Count the runs with these treatments of a factor, in many experiments.
 
-        Args:
-            data: of one of them.
-            factor: whose treatments are compared.
-            levels: the treatments.
-            answers: 1 for yes and 0 for no, (experiments, runs).
+        The data is of one of them; answers are 1 for yes and 0 for no, (experiments, runs).
         """
         is_of = np.asarray(data.frame[factor].isin(levels))
         frame = data.frame[is_of]
@@ -251,8 +238,7 @@ class Strata:
     def p_value(self, draws: int = _DRAWS) -> float:
         """Return the probability of tables that are at least as uneven, given the runs and yes of each stratum.
 
-        Args:
-            draws: the number of random tables for three or more treatments.
+        For three or more treatments, random tables are drawn.
         """
         return self._exact() if self.runs.shape[1] == _PAIR else self._permuted(draws)
 
@@ -262,13 +248,12 @@ class Strata:
 
     def _spread(self) -> tuple[Floats, int]:
         """Return the generalised inverse of the null covariance of yes, and its rank."""
-        covariance = np.zeros((self.runs.shape[1],) * 2)
-        for sizes, count in zip(self.runs.astype(np.float64), self.yes.sum(axis=1), strict=True):
-            n = sizes.sum()
-            if n > 1:
-                covariance += count * (n - count) / (n * n * (n - 1)) * (np.diag(sizes) * n - np.outer(sizes, sizes))
-        inverse = np.asarray(np.linalg.pinv(covariance, hermitian=True), dtype=np.float64)
-        return inverse, int(np.linalg.matrix_rank(covariance, hermitian=True))
+        return _spread_of(*self._margins)
+
+    @property
+    def _margins(self) -> tuple[tuple[tuple[int, ...], ...], tuple[int, ...]]:
+        """The runs of each treatment, and the number of yes, of each stratum."""
+        return tuple(map(tuple, self.runs.tolist())), tuple(self.yes.sum(axis=1).tolist())
 
     def _exact(self) -> float:
         """Return the probability of all tables that are no more probable than the observed one."""
@@ -284,23 +269,16 @@ class Strata:
 
     def _permuted(self, draws: int) -> float:
         draws = min(draws, max(_FEWEST_DRAWS, _MOST_DEALT // len(self.runs)))
-        random = np.random.default_rng(_SEED)
-        inverse, _ = self._spread()
-        excess = np.zeros((draws, self.runs.shape[1]))
-        for sizes, count, expected in zip(self.runs, self.yes.sum(axis=1), self._expected(), strict=True):
-            if 0 < count < sizes.sum():
-                excess += random.multivariate_hypergeometric(sizes, int(count), size=draws) - expected
-        drawn = np.einsum("ij,jk,ik->i", excess, inverse, excess)
-        return float((1 + np.sum(drawn >= self.statistic()[0] * (1 - _ROUNDING))) / (1 + draws))
+        drawn = _statistics_drawn(*self._margins, draws)
+        as_large = draws - np.searchsorted(drawn, self.statistic()[0] * (1 - _ROUNDING))
+        return float((1 + as_large) / (1 + draws))
 
     def shares(self, weights: Sequence[float] = DIFFERENCE) -> tuple[Share, ...] | None:
         """Return the share of yes of each treatment; None if no stratum has runs of all.
 
         Strata have Mantel-Haenszel weights, so that treatments with unequal numbers of runs are compared within strata.
-        With equal numbers in all strata, all runs have the same weight.
-
-        Args:
-            weights: of the treatments in what is compared: a stratum counts by how precisely it tells their sum.
+        With equal numbers in all strata, all runs have the same weight. A stratum counts by how precisely it tells the
+        sum with these weights of treatments.
         """
         has_all = (self.runs > 0).all(axis=1)
         runs, yes = self.runs[has_all], self.yes[has_all]
@@ -312,7 +290,33 @@ class Strata:
         return tuple(Share(min(1.0, float(value)), float(n)) for value, n in zip(values, worth, strict=True))
 
 
-@lru_cache(maxsize=4096)  # thousands of simulated experiments have the same margins
+# Thousands of simulated experiments have the same margins.
+
+
+@lru_cache(maxsize=4096)
+def _spread_of(runs: tuple[tuple[int, ...], ...], yes: tuple[int, ...]) -> tuple[Floats, int]:
+    """Return the generalised inverse of the null covariance of yes, and its rank, given the margins of each stratum."""
+    covariance = np.zeros((len(runs[0]),) * 2)
+    for sizes, count in zip(np.asarray(runs, dtype=np.float64), yes, strict=True):
+        n = sizes.sum()
+        if n > 1:
+            covariance += count * (n - count) / (n * n * (n - 1)) * (np.diag(sizes) * n - np.outer(sizes, sizes))
+    inverse = np.asarray(np.linalg.pinv(covariance, hermitian=True), dtype=np.float64)
+    return inverse, int(np.linalg.matrix_rank(covariance, hermitian=True))
+
+
+@lru_cache(maxsize=128)
+def _statistics_drawn(runs: tuple[tuple[int, ...], ...], yes: tuple[int, ...], draws: int) -> Floats:
+    """Return the statistics of random tables with these margins of each stratum, in ascending order."""
+    random = np.random.default_rng(_SEED)
+    excess = np.zeros((draws, len(runs[0])))
+    for sizes, count in zip(np.asarray(runs), yes, strict=True):
+        if 0 < count < sizes.sum():
+            excess += random.multivariate_hypergeometric(sizes, count, size=draws) - sizes * count / sizes.sum()
+    return np.sort(np.einsum("ij,jk,ik->i", excess, _spread_of(runs, yes)[0], excess))
+
+
+@lru_cache(maxsize=4096)
 def _chances(low: int, high: int, runs: int, yes: int, first: int) -> Floats:
     """Return the probability of each number of yes, from low to high, among the runs of the first treatment."""
     return np.asarray(stats.hypergeom.pmf(np.arange(low, high + 1), runs, yes, first), dtype=np.float64)
@@ -335,22 +339,17 @@ def compare_proportions(data: MeasureData, choices: Choices, most_pairs: int) ->
             continue
         tables = {pair: Strata.of(data, factor, pair) for pair in pairs}
         known = {pair: shares for pair, table in tables.items() if (shares := table.shares()) is not None}
-        p_values = [tables[pair].p_value() for pair in known]
-        after = adjusted(p_values, choices.correction)
-        told = tuple(
-            _comparison(pair, known[pair], each, value, choices.alpha)
-            for pair, each, value in zip(known, p_values, after, strict=True)
-        )
-        if told:
+        if told := with_adjusted(
+            [_comparison(pair, shares, tables[pair].p_value(), choices.alpha) for pair, shares in known.items()],
+            choices,
+        ):
             yield PostHoc((factor,), _METHOD, choices.correction, QUANTITY, told, data.within([factor]))
         if apart := [" and ".join(pair) for pair in pairs if pair not in known]:
             why = f"no run of one differs from a run of the other in nothing but {factor}."
             yield NotComputed(f"comparisons of {listed(apart)}", why)
 
 
-def _comparison(
-    pair: tuple[str, str], shares: Sequence[Share], p_value: float, adjusted_p_value: float, alpha: float
-) -> Comparison:
+def _comparison(pair: tuple[str, str], shares: Sequence[Share], p_value: float, alpha: float) -> Comparison:
     low, high = sum_ends(shares, DIFFERENCE, float(stats.norm.isf(alpha / 2)))
     return Comparison(
         *pair,
@@ -360,8 +359,8 @@ def _comparison(
         statistic=None,
         degrees_of_freedom=None,
         p_value=p_value,
-        adjusted_p_value=adjusted_p_value,
-        is_significant=adjusted_p_value < alpha,
+        adjusted_p_value=None,
+        is_significant=None,
         check_p_value=None,
         effect_sizes=(),
     )

@@ -64,10 +64,9 @@ class RobustFit(NamedTuple):
         return Contrast(*map(np.asarray, (weights @ self.beta, np.sqrt(max(0.0, spread)), freedom)))
 
     def hotelling(self, weights: Floats) -> Tested | None:
-        """Test several sums at once (approximate Hotelling, Tipton and Pustejovsky 2015); None for too few runs.
+        """Test several sums at once, with weights of (sums, coefficients); None for too few runs.
 
-        Args:
-            weights: (sums, coefficients).
+        This is the approximate Hotelling test of Tipton and Pustejovsky (2015).
         """
         count = len(weights)
         values, vectors = np.linalg.eigh(self._moments(weights)[0])

@@ -21,7 +21,6 @@ class Otherwise(NamedTuple):
     """The difference of a sensitivity analysis from the planned one.
 
     Attributes:
-        beside: which sensitivity analysis.
         left_out: the runs that it, or the planned one, leaves out, by measure.
         covariates: those of the plan.
     """
@@ -49,22 +48,13 @@ def doubtful_runs(results: Results) -> dict[str, tuple[str, ...]]:
 
 
 def standing_effects(
-    measures: Sequence[MeasureStatistics],
-    without: Sequence[MeasureStatistics],
-    otherwise: Otherwise,
+    measures: Sequence[MeasureStatistics], without: Sequence[MeasureStatistics], otherwise: Otherwise
 ) -> Iterator[Standing]:
-    """Yield, for each effect on a measure of a sensitivity analysis, whether its conclusion stands.
-
-    Args:
-        measures: the planned statistics.
-        without: those of the sensitivity analysis.
-        otherwise: the difference between them.
-    """
+    """Yield, for each effect on a measure of a sensitivity analysis, whether its conclusion stands."""
     by_name = {measure.name: measure for measure in without}
     for measure in measures:
-        if measure.name in by_name and measure.test is not None:
-            for effect in measure.test.effects:
-                yield _standing_effect(measure, effect, by_name[measure.name], otherwise)
+        for effect in measure.effects if measure.name in by_name else ():
+            yield _standing_effect(measure, effect, by_name[measure.name], otherwise)
 
 
 def standing_hypotheses(
@@ -75,11 +65,7 @@ def standing_hypotheses(
 ) -> Iterator[Standing]:
     """Yield, for each hypothesis on one of these measures, whether its outcome stands.
 
-    Args:
-        outcomes: of the hypotheses.
-        without: those of the sensitivity analysis.
-        otherwise: the difference between the two analyses.
-        measures: the planned statistics of each measure, and those of the sensitivity analysis.
+    The measures are pairs of the planned statistics and those of the sensitivity analysis.
     """
     by_name = {planned.name: (planned, changed) for planned, changed in measures}
     for now, then in zip(outcomes, without, strict=True):
@@ -148,7 +134,7 @@ def gathered(standings: Sequence[Standing], most: int) -> Iterator[str]:
 def _standing_effect(
     measure: MeasureStatistics, effect: Effect, without: MeasureStatistics, otherwise: Otherwise
 ) -> Standing:
-    then = _same_effect(effect, without)
+    then = next((each for each in without.effects if set(each.factors) == set(effect.factors)), None)
     p_value = None if then is None else then.p_value
     what = f"effect of {effect.label} on {measure.name}"
     if then is None or p_value is None or effect.is_significant is None:
@@ -164,11 +150,6 @@ def _standing_effect(
     return Standing(
         measure.name, effect.factors, "", runs, effect.p_value, p_value, stands, conclusion, otherwise.beside
     )
-
-
-def _same_effect(effect: Effect, without: MeasureStatistics) -> Effect | None:
-    effects = without.test.effects if without.test is not None else ()
-    return next((each for each in effects if set(each.factors) == set(effect.factors)), None)
 
 
 def _changed(effect: Effect, then: Effect, *, turned: bool) -> str:

@@ -37,12 +37,7 @@ def sum_ends(shares: Sequence[Share], weights: Sequence[float], z: float) -> tup
     """Return the ends of the interval of a weighted sum of independent shares.
 
     Of a difference it is method 10 of Newcombe, Statistics in Medicine 17, 1998, of other sums that of Zou, Huang and
-    Zhang, Computational Statistics and Data Analysis 53, 2009.
-
-    Args:
-        shares: each with its effective number of runs.
-        weights: of the shares.
-        z: the half-width in standard deviations.
+    Zhang, Computational Statistics and Data Analysis 53, 2009. The half-width `z` is in standard deviations.
     """
     below = above = 0.0
     for share, weight in zip(shares, weights, strict=True):
@@ -53,13 +48,7 @@ def sum_ends(shares: Sequence[Share], weights: Sequence[float], z: float) -> tup
 
 
 def score_of(shares: Sequence[Share], weights: Sequence[float], null: float = 0.0) -> float:
-    """Return the z score of a weighted sum: the signed half-width of the interval that ends at the null value.
-
-    Args:
-        shares: each with its effective number of runs.
-        weights: of the shares.
-        null: the sum under the null hypothesis.
-    """
+    """Return the z score of a weighted sum: the signed half-width of the interval that ends at the null value."""
     total = sum_of(shares, weights)
     if total == null:
         return 0.0

@@ -15,11 +15,8 @@ from robot_runner.analysis.statistics.analysed_design import VALUE, MeasureData
 from robot_runner.analysis.statistics.batch_strata import comparable
 from robot_runner.analysis.statistics.cell_means import CellMeans
 from robot_runner.analysis.statistics.linear_model import FittedModel
-from robot_runner.analysis.statistics.post_hoc import MOST_PAIRS, adjusted, carry_out_contrast, compare_pairs
-from robot_runner.analysis.statistics.proportion_contrasts import (
-    carry_out_contrast_of_proportions,
-    with_larger_p_value,
-)
+from robot_runner.analysis.statistics.post_hoc import MOST_PAIRS, carry_out_contrast, compare_pairs, with_adjusted
+from robot_runner.analysis.statistics.proportion_contrasts import carry_out_contrast_of_proportions, with_larger_p_value
 from robot_runner.analysis.statistics.proportions import PROPORTION, QUANTITY, compare_proportions, runs_together
 from robot_runner.analysis.statistics.strata_model import StrataModel
 from robot_runner.analysis.statistics.tested import (
@@ -78,10 +75,8 @@ def compare_shares(
 ) -> ComparedShares | None:
     """Return the comparisons of a yes-or-no measure whose runs belong together.
 
-    Args:
-        answers: the measure, 1 for yes and 0 for no.
-        choices: of the analysis plan; means are compared, whatever its estimand.
-        hypotheses: those with a contrast or a bound, in percentage points.
+    Answers are 1 for yes and 0 for no. Means are compared, whatever the estimand, and hypotheses are in percentage
+    points.
 
     Returns:
         None where exact tests serve: of runs that stand by themselves, of blocks with a single run of each treatment,
@@ -161,11 +156,5 @@ def _with_exact(
             else replace(exact.get((of.factors, pair.first, pair.second), pair), difference=pair.difference)
             for pair in of.comparisons
         ]
-        after = iter(adjusted([each.p_value for each in pairs if each.p_value is not None], choices.correction))
-        told = tuple(
-            pair
-            if pair.p_value is None
-            else replace(pair, adjusted_p_value=(value := next(after)), is_significant=value < choices.alpha)
-            for pair in pairs
-        )
-        yield replace(of, method=f"{of.method}; exact tests where all blocks differ in the same way", comparisons=told)
+        method = f"{of.method}; exact tests where all blocks differ in the same way"
+        yield replace(of, method=method, comparisons=with_adjusted(pairs, choices))

@@ -49,14 +49,10 @@ class StrataModel:
     """A fitted model, and the tests of its effects.
 
     Attributes:
-        factors: the factors, with their treatments.
         hypotheses: the tested effects, by their factors.
         stratum_of: the index in `fits` of each effect.
         fits: one, or those between and within whole plots.
         plot_size: the number of runs in a whole plot; 1 without whole plots.
-        method: the name of the tests in a paper.
-        reason: a sentence on why this model is used.
-        notes: further notes for readers.
         averaged_out: the part of the variance of a run that is averaged out if the values are means of runs.
         left_out: the runs of units that lack a combination, by their index.
         is_of_units: whether effects within units are compared with how units respond to them, by the mean of each
@@ -113,13 +109,8 @@ class StrataModel:
             yield EffectTest(term, self.method.value, "F", f_value, freedom, p_value, variance)
 
     def difference(self, weights: Sequence[tuple[Mapping[str, str], float]]) -> Contrast:
-        """Estimate a weighted sum of marginal means whose weights sum up to zero.
-
-        Args:
-            weights: treatments by factor, with the weight of their mean.
-        """
-        rows = [weight * self.factors.row(self.terms, treatments)[1:] for treatments, weight in weights]
-        row = np.sum(rows, axis=0)
+        """Estimate a weighted sum of marginal means whose weights sum up to zero."""
+        row = np.sum([weight * self.factors.row(self.terms, treatments)[1:] for treatments, weight in weights], axis=0)
         estimate: Floats = np.zeros(self.fits[0].beta.shape[:-1])
         parts: list[tuple[Floats, Floats]] = []
         start = 0
@@ -188,7 +179,7 @@ def fit_strata(
         own = responses if number == len(strata) - 1 else ()
         fit = fit_stratum(columns, project(blocks), project(values.T).T, rank, own)
         if fit is None:
-            why = "the factors go together so closely with each other or with blocks that effects cannot be told apart."
+            why = "factors, blocks and covariates go together so closely that effects cannot be told apart."
             return NotComputed("the test", why)
         # A mean square that is rounding is not an estimate of error: with 0, nothing is tested in the stratum.
         least = rounding_of(values)

@@ -51,10 +51,8 @@ class Variation(NamedTuple):
 
         This is Box's number, with the correction of Huynh and Feldt where units are enough, else with that of Geisser
         and Greenhouse. By simulation the first has 4 to 5 % false positives at 5 % where units respond alike, 6 to 8 %
-        where they respond to one treatment by several standard deviations; the second 1 to 3 % of either.
-
-        Args:
-            weights: their products, summed over units, (contrasts, contrasts).
+        where they respond to one treatment by several standard deviations; the second 1 to 3 % of either. The products
+        of the weights are summed over units, (contrasts, contrasts).
         """
         product = weights @ self.covariance
         total, squares = (np.trace(each, axis1=-2, axis2=-1) for each in (product, product @ product))

@@ -73,7 +73,6 @@ class StationaryPoint(NamedTuple):
         value: of the measure there.
         kind: `minimum`, `maximum`, `saddle point`, or `ridge` if the interval of a curvature includes 0.
         curvatures: the eigenvalues, in the measure's unit for coded factors, with their intervals.
-        is_inside: whether it is inside the explored region.
     """
 
     at: Mapping[str, float]
@@ -120,16 +119,13 @@ class SurfaceModel:
     """A fitted surface, and the tests of its factors and their interactions.
 
     Attributes:
-        factors: the factors, with their treatments.
         coding: see `Surface`.
         terms: of the polynomial, without the constant.
         others: the factors that are not numeric, with the indices of their columns.
         columns: of all terms, (runs, coefficients).
         blocks: the nuisance columns, including the constant.
         cells: the combination of each run.
-        fit: by least squares.
         values: (..., runs).
-        notes: further notes for readers.
     """
 
     factors: Mapping[str, Sequence[str]]
@@ -188,8 +184,7 @@ class SurfaceModel:
     def difference(self, weights: Sequence[tuple[Mapping[str, str], float]]) -> Contrast:
         """Estimate a weighted sum of the surface's values at treatments, with the other factors at their centre.
 
-        Args:
-            weights: treatments by factor, with their weight; the weights must sum up to zero.
+        The weights must sum up to zero.
         """
         row = np.zeros(self.columns.shape[1])
         for treatments, weight in weights:
@@ -213,18 +208,13 @@ class SurfaceModel:
         errors = np.sqrt(
             spread * np.concatenate([[1 / runs + middle @ self.fit.inverse @ middle], np.diag(self.fit.inverse)])
         )
-        reach = float(stats.t.ppf(1 - alpha / 2, self.fit.freedom))
         found = []
         for term, estimate, error in zip(
-            ((), *self.terms),
-            (constant, *map(float, self.fit.beta[:count])),
-            map(float, errors[: count + 1]),
-            strict=True,
+            ((), *self.terms), (constant, *self.fit.beta[:count]), errors[: count + 1], strict=True
         ):
-            interval = Interval(estimate - reach * error, estimate + reach * error, 1 - alpha, "t distribution")
-            statistic = estimate / error
-            p_value = 2 * float(stats.t.sf(abs(statistic), self.fit.freedom))
-            found.append(Coefficient(term, estimate, interval, statistic, p_value))
+            each = self._against_zero(estimate, error)
+            told = float(each.t_value), float(each.p_value)
+            found.append(Coefficient(term, float(estimate), each.interval(alpha), *told))
         left = float(np.sum(self.fit.residuals**2))
         # Dummy columns of blocks are linearly dependent with the constant, so that `qr` would take out too much.
         beside = self.blocks @ np.linalg.lstsq(self.blocks, self.values)[0]
@@ -280,7 +270,6 @@ class SurfaceModel:
         """Return the intervals of the curvatures along the principal axes (Bisgaard and Ankenman 1996)."""
         names = list(self.coding)
         places = {term: place for place, term in enumerate(self.terms)}
-        reach = float(stats.t.ppf(1 - alpha / 2, self.fit.freedom))
         found = []
         for axis, curvature in zip(axes.T, curvatures, strict=True):
             row = np.zeros(self.columns.shape[1])
@@ -290,9 +279,11 @@ class SurfaceModel:
                 if (names[one], names[other]) in places:
                     row[places[names[one], names[other]]] = axis[one] * axis[other]
             error = math.sqrt(float(self.fit.mean_square) * float(row @ self.fit.inverse @ row))
-            low, high = float(curvature) - reach * error, float(curvature) + reach * error
-            found.append(Interval(low, high, 1 - alpha, "t distribution"))
+            found.append(self._against_zero(curvature, error).interval(alpha))
         return found
+
+    def _against_zero(self, estimate: float, error: float) -> Contrast:
+        return Contrast(*map(np.asarray, (estimate, error, self.fit.freedom)))
 
 
 def _kind(intervals: Sequence[Interval]) -> str:

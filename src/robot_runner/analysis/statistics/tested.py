@@ -46,7 +46,6 @@ class Interval:
     """A confidence interval.
 
     Attributes:
-        low, high: its ends.
         level: the confidence level, 0.95 for 95 %.
         method: as in `bootstrap (BCa)`.
     """
@@ -121,7 +120,6 @@ class EffectSize:
         name: as in `Cohen's d`, `Cliff's delta`, `Vargha-Delaney A12`, `partial omega squared`.
         interval: its confidence interval; None if it cannot be computed.
         magnitude: by the thresholds of `source`.
-        source: of the thresholds.
     """
 
     name: str
@@ -139,7 +137,6 @@ class AssumptionCheck:
         name: `Shapiro-Wilk` or `Levene`.
         treatments: of the checked group; empty for all groups together (residuals).
         holds: whether the assumption is not rejected at alpha.
-        conclusion: one sentence.
     """
 
     name: str
@@ -218,9 +215,6 @@ class Effect:
         p_value: before adjustment; None if it could not be computed.
         adjusted_p_value: after adjustment for its family of tests.
         is_significant: whether the adjusted p-value is below alpha; None without a p-value.
-        effect_sizes: with their intervals.
-        check: the robustness check.
-        conclusion: one or two sentences.
         parts: the tests whose p-values are combined; empty for a single test.
         aliases: the effects that are aliased with it, by their factors.
         within: the runs within which a conditional factor is tested, as in `Sensor=camera`; else empty.
@@ -270,12 +264,10 @@ class MeasureTest:
     """The test of a measure, which the design and the plan determine.
 
     Attributes:
-        method: the test.
         estimand: `mean`, `trimmed mean`, `rank`, or `proportion` for a yes-or-no measure.
         reason: a sentence on why this test is used.
         effects: its results, main effects first.
         family: the tests over which the error rate is controlled, in words; of several families, the first.
-        family_size: their number.
         spread: the standard deviation for Cohen's d; None if there is none.
         library: the library that computed it, with its version.
         notes: further notes for readers, such as that an interaction could not be estimated.
@@ -329,7 +321,6 @@ class PostHoc:
     Attributes:
         factors: the factor, or several if combinations are compared.
         method: the test of each pair, in words.
-        correction: of p-values.
         quantity: the compared quantity, such as `means`, `trimmed means`, `relative ranks` or proportions.
         within: the runs within which a conditional factor is compared; else empty.
     """

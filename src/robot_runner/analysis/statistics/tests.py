@@ -3,22 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from importlib.metadata import version
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from robot_runner.analysis.arrays import Floats
 from robot_runner.analysis.statistics.adjusted_means import AdjustedMeans, fit_adjusted
-from robot_runner.analysis.statistics.cell_layout import (
-    MOST_FACTORS,
-    incomplete_layout,
-    layout_of,
-    relative_ranks,
-)
+from robot_runner.analysis.statistics.cell_layout import MOST_FACTORS, incomplete_layout, layout_of, relative_ranks
 from robot_runner.analysis.statistics.cell_means import BOOTSTRAP, SIGN_FLIPS, CellMeans
 from robot_runner.analysis.statistics.descriptive import quiet
 from robot_runner.analysis.statistics.designed_columns import taken_beside_plots
@@ -35,7 +30,6 @@ from robot_runner.analysis.statistics.tested import (
     MeasureTest,
     NotComputed,
     NoVariation,
-    TestMethod,
     TestPart,
 )
 from robot_runner.analysis.statistics.unit_responses import note_on_responses
@@ -46,12 +40,12 @@ from robot_runner.core.words import counted, enumerated
 
 if TYPE_CHECKING:
     from robot_runner.analysis.statistics.analysed_design import MeasureData
-    from robot_runner.analysis.statistics.cell_moments import SpreadPart
-    from robot_runner.analysis.statistics.contrasts import Contrast
 
-#: The models that may be fitted to a measure.
-_UnadjustedModel = CellMeans | FittedModel | StrataModel | LenthModel | SurfaceModel
-AnyModel = _UnadjustedModel | AdjustedMeans
+#: The models that may be fitted to a measure. Each has the tests of effects, differences of marginal means (of
+#: treatments by factor, with their weights), and the standard deviation that standardises these, with the components of
+#: its square: none if it is known as precisely as differences are.
+UnadjustedModel = CellMeans | FittedModel | StrataModel | LenthModel | SurfaceModel
+AnyModel = UnadjustedModel | AdjustedMeans
 
 _PAIR = 2
 
@@ -66,28 +60,6 @@ class Choices:
     statistic: Statistic = Statistic.COMBINED
 
 
-class Model(Protocol):
-    """The fitted model of a measure, with tests of effects and differences."""
-
-    @property
-    def method(self) -> TestMethod:
-        """The name of the tests in a paper."""
-
-    @property
-    def spread(self) -> float:
-        """The standard deviation that standardises differences."""
-
-    @property
-    def spread_parts(self) -> tuple[SpreadPart, ...]:
-        """The components of the variance `spread` squared; none if it is known as precisely as differences."""
-
-    def effects(self) -> Iterator[EffectTest]:
-        """Yield the test of each effect."""
-
-    def difference(self, weights: Sequence[tuple[Mapping[str, str], float]]) -> Contrast:
-        """Estimate a weighted sum of marginal means."""
-
-
 def check_estimand(estimand: Estimand) -> Estimand:
     """Return the estimand of the robustness check."""
     return Estimand.MEAN if estimand is Estimand.RANK else Estimand.RANK
@@ -95,21 +67,15 @@ def check_estimand(estimand: Estimand) -> Estimand:
 
 def model_of(
     data: MeasureData, estimand: Estimand, statistic: Statistic = Statistic.COMBINED
-) -> _UnadjustedModel | NotComputed:
-    """Return the model of a measure without adjustment for covariates, or why there is none.
-
-    Args:
-        data: the measure.
-        estimand: of the plan.
-        statistic: which tests several contrasts at once.
-    """
+) -> UnadjustedModel | NotComputed:
+    """Return the model of a measure without adjustment for covariates, or why there is none."""
     found = _model_of(data, estimand, statistic)
     why = _why_not_ranked(data, found) if estimand is Estimand.RANK else ""
     return NotComputed("the test", why) if why else found
 
 
 @lru_cache(maxsize=8)  # the tests, the pairs and the adjustment of a measure fit the same ones
-def _model_of(data: MeasureData, estimand: Estimand, statistic: Statistic) -> _UnadjustedModel | NotComputed:
+def _model_of(data: MeasureData, estimand: Estimand, statistic: Statistic) -> UnadjustedModel | NotComputed:
     problem = _problem(data)
     designed = NotComputed("the test", problem) if problem else designed_model_of(data, estimand, statistic)
     if designed is not None:
@@ -146,7 +112,7 @@ def planned_model_of(
 _FEWEST_IN_MODEL, _FEWEST_BEYOND = 7, 2
 
 
-def _why_not_ranked(data: MeasureData, found: _UnadjustedModel | NotComputed) -> str:
+def _why_not_ranked(data: MeasureData, found: UnadjustedModel | NotComputed) -> str:
     """Return why the ranks of a single factor, or in a model with one variance, are not compared; else nothing."""
     lacking = found.layout.missing_for_ranks if isinstance(found, CellMeans) else ""
     if isinstance(found, SurfaceModel) or (isinstance(found, FittedModel) and found.blocks is None):
@@ -173,6 +139,11 @@ def carry_out(data: MeasureData, model: AnyModel, choices: Choices) -> MeasureTe
             )
             for each in model.effects()
         )
+    notes = [*_notes(data, model), *_notes_on_values(data, model)]
+    if (treatments := data.treatments).conditions:
+        notes.insert(0, treatments.in_words("mean", "each treatment of a factor that is nested within counts the same"))
+    if isinstance(beside, NotComputed):
+        notes.append(f"There is no check of {_checked(choices.estimand)}: {beside.why}")
     return MeasureTest(
         method=model.method,
         estimand=choices.estimand.value,
@@ -180,22 +151,11 @@ def carry_out(data: MeasureData, model: AnyModel, choices: Choices) -> MeasureTe
         effects=effects,
         family="",
         family_size=len(effects),
-        spread=float(model.spread)
-        if choices.estimand is not Estimand.RANK and model.method is not _NO_SPREAD
-        else None,
+        # Unreplicated runs have no standard deviation.
+        spread=None if choices.estimand is Estimand.RANK or isinstance(model, LenthModel) else float(model.spread),
         library=f"scipy {version('scipy')}",
-        notes=(
-            *_nested_notes(data),
-            *_notes(data, model),
-            *_notes_on_values(data, model),
-            *_note_on_check(beside, choices.estimand),
-        ),
+        notes=tuple(notes),
     )
-
-
-def _note_on_check(beside: AnyModel | NotComputed, estimand: Estimand) -> Iterator[str]:
-    if isinstance(beside, NotComputed):
-        yield f"There is no check of {_checked(estimand)}: {beside.why}"
 
 
 def _checked(estimand: Estimand) -> str:
@@ -213,7 +173,6 @@ def _effect(model: AnyModel, found: EffectTest, beside: EffectTest | None, choic
         if found.parts or BOOTSTRAP in found.test or SIGN_FLIPS in found.test:
             # The interval must agree with the p-value.
             f_value = f_of_p_value(p_value, (both[0], both[1]))
-        is_partial = len(levels_of(model)) > 1
         size = omega_squared(
             f_value,
             (both[0], both[1]),
@@ -221,7 +180,7 @@ def _effect(model: AnyModel, found: EffectTest, beside: EffectTest | None, choic
             float(model.spread),
             model.spread_parts,
             alpha=choices.alpha,
-            is_partial=is_partial,
+            is_partial=len(model.factors) > 1,
         )
     return Effect(
         factors=found.factors,
@@ -235,17 +194,12 @@ def _effect(model: AnyModel, found: EffectTest, beside: EffectTest | None, choic
         effect_sizes=() if size is None else (size,),
         check=None if beside is None else _check(beside, p_value_of, choices),
         conclusion="",
-        parts=tuple(_part(*each) for each in found.parts if is_known),
+        parts=tuple(
+            TestPart(name, float(value), tuple(map(float, of)), float(p_of))
+            for name, value, of, p_of in found.parts
+            if is_known
+        ),
     )
-
-
-def _part(name: str, statistic: float, freedom: Sequence[float], p_value: float) -> TestPart:
-    return TestPart(name, float(statistic), tuple(map(float, freedom)), float(p_value))
-
-
-def levels_of(model: AnyModel) -> Mapping[str, Sequence[str]]:
-    """Return the factors of a model, with their treatments."""
-    return model.layout.factors if isinstance(model, CellMeans) else model.factors
 
 
 def _check(beside: EffectTest, p_value: float | None, choices: Choices) -> Check:
@@ -281,9 +235,6 @@ def stranded_in_words(data: MeasureData) -> str:
     )
 
 
-#: Unreplicated runs have no standard deviation.
-_NO_SPREAD = TestMethod.LENTH
-
 _COMPARED = {Estimand.MEAN: "means", Estimand.TRIMMED_MEAN: "trimmed means", Estimand.RANK: "relative ranks"}
 
 
@@ -304,7 +255,9 @@ def _reason_of_factorial(data: MeasureData, model: CellMeans | FittedModel | Adj
     if count == 1:
         of += f" with {counted(len(data.levels(data.factors[0])), 'treatment')}"
     if isinstance(model, AdjustedMeans):
-        where = "within blocks" if model.is_within else "of blocks" if data.is_blocked else "of runs by themselves"
+        where = (
+            "within blocks" if model.design.is_within else "of blocks" if data.is_blocked else "of runs by themselves"
+        )
         return f"{of}: {compared} {where} are compared at the mean of {listed(data.covariates)}."
     if isinstance(model, FittedModel):
         if model.blocks is None:
@@ -343,20 +296,14 @@ _CONTAINMENT = (
 )
 
 
-def _nested_notes(data: MeasureData) -> Iterator[str]:
-    if (treatments := data.treatments).conditions:
-        yield treatments.in_words
-
-
 def _notes(data: MeasureData, model: AnyModel) -> Iterator[str]:
-    """Yield further notes for readers."""
     if isinstance(model, StrataModel | LenthModel | SurfaceModel):
         yield from model.notes
         yield from (*data.known.notes, *note_on_responses(data, model))
     elif not data.known.is_plain and isinstance(model, CellMeans):
         yield from data.known.notes
     elif isinstance(model, AdjustedMeans):
-        yield from filter(None, (model.note,))
+        yield from filter(None, (model.design.note,))
     elif isinstance(model, FittedModel):
         yield from filter(None, (model.note, _CONTAINMENT if model.blocks is not None else ""))
         yield from note_on_responses(data, model)

@@ -36,10 +36,7 @@ class TheilSen(NamedTuple):
 def theil_sen(places: Floats, values: Floats, level: float) -> TheilSen:
     """Return the slope like `scipy.stats.theilslopes`, in memory linear in the number of values.
 
-    Args:
-        places: in ascending order; pairs at the same place have no slope.
-        values: as many, at least two.
-        level: of the confidence interval, as in 0.95.
+    Places are in ascending order; pairs at the same place have no slope.
 
     Example:
         >>> theil_sen(np.arange(4.0), np.array([0.0, 2.0, 4.0, 6.0]), 0.95).slope
