@@ -148,6 +148,19 @@ def test_of_an_imported_run_nothing_is_said_of_who_executed_it_where_and_when(tm
     _, of_measure = _facts(tmp_path / "ours", "run_1", "energy_J")
     assert of_measure["From"] == "`robot-runner import`"
     assert {"Plugin", "Published"}.isdisjoint(of_measure)
+    assert of_measure["Quality"] == "not known: it was imported without any"
+
+
+@pytest.mark.long
+def test_a_column_that_import_took_for_no_measure_is_not_told_to_be_added_by_hand(tmp_path):
+    (tmp_path / "theirs").mkdir()
+    (tmp_path / "theirs" / "t.csv").write_text(
+        "run_id,Task,Energy,Time,Ok\nr1,a,5,4.5,True\nr2,b,,3.5,False\nr3,a,9,2.5,True\nr4,b,1,1.5,False\n", "utf-8"
+    )
+    adopt(understand(tmp_path / "theirs", ImportDescription()), tmp_path / "ours")
+    _, facts = _facts(tmp_path / "ours", "r1", "Ok")
+    assert facts["From"] == "t.csv, which was imported, or a column that somebody added to run_table.csv by hand"
+    assert _facts(tmp_path / "ours", "r2", "Energy")[1]["Quality"].startswith("missing")
 
 
 def test_a_column_that_somebody_added_by_hand_is_told_as_that_and_as_no_measure(tmp_path):

@@ -301,6 +301,14 @@ def test_a_plugin_that_is_missing_is_installed_from_the_package_where_that_has_i
     assert fix.format(wheel=wheel) in finding.fix
 
 
+def test_nothing_is_executed_to_find_out_whether_a_plugin_is_installed(tmp_path, monkeypatch):
+    for where, text in (("strange_package", "raise RuntimeError"), ("config", "")):
+        (tmp_path / where).mkdir()
+        (tmp_path / where / "__init__.py").write_text(text, encoding="utf-8")
+    monkeypatch.syspath_prepend(tmp_path)
+    assert missing_modules(tmp_path, {"plugins": [{"name": "P", "class": "strange_package.plugin:P"}]}) == []
+
+
 def test_a_module_that_is_not_installed_is_named_before_anything_is_executed(unpacked, tmp_path):
     path = unpacked / "config" / "packed_paces.py"
     path.write_text(f"open({str(tmp_path / 'executed')!r}, 'w')\nimport no_such_module\n", encoding="utf-8")

@@ -111,10 +111,8 @@ def _unknown_events(recognised: Recognised) -> Iterator[Finding]:
 
 
 def _counterpart(event: str, names: Collection[str]) -> str:
-    for other, meant in (("LAUNCH_MISSION", "INTERACT"), ("INTERACT", "LAUNCH_MISSION")):
-        if event == other and meant in names:
-            return f"Did you mean {meant!r}?"
-    return did_you_mean(event, names)
+    meant = {"LAUNCH_MISSION": "INTERACT", "INTERACT": "LAUNCH_MISSION"}.get(event)
+    return f"Did you mean {meant!r}?" if meant in names else did_you_mean(event, names)
 
 
 def _unknown_context_attributes(recognised: Recognised) -> Iterator[Finding]:
@@ -138,8 +136,7 @@ def _misspelt_members(recognised: Recognised) -> Iterator[Finding]:
     parameters = _PARAMETERS[recognised.dialect]
     methods = {node.name for node in config.body if isinstance(node, ast.FunctionDef)}
     bound = bound_names(config.body)
-    assigned = {node.attr for _, node in attributes_of(config, {"self"}) if isinstance(node.ctx, ast.Store)}
-    there = {*bound, *assigned}
+    there = {node.attr for _, node in attributes_of(config, {"self"}) if isinstance(node.ctx, ast.Store)} | bound.keys()
     there |= set(_TABLES) if there & set(_TABLES) else set()  # one of them is enough
     for name, line in bound.items():
         known = _TABLES if name in methods else parameters
@@ -156,8 +153,7 @@ def _misspelt_members(recognised: Recognised) -> Iterator[Finding]:
 
 
 def _alike(name: str, known: tuple[str, ...]) -> str | None:
-    match = difflib.get_close_matches(name.casefold(), known, n=1, cutoff=_ALIKE)
-    return match[0] if match else None
+    return next(iter(difflib.get_close_matches(name.casefold(), known, n=1, cutoff=_ALIKE)), None)
 
 
 def check_subscriptions(session: Session, config: Any) -> Iterator[Finding]:
@@ -168,15 +164,12 @@ def check_subscriptions(session: Session, config: Any) -> Iterator[Finding]:
         except ConfigError as error:
             yield error.as_finding()
     heard = {each.event for each in session.subscriptions}
-    names = dict.fromkeys(event.name for events in (RobotRunnerEvents, RunnerEvents) for event in events)
-    for name in names:
+    for name in {**RobotRunnerEvents.__members__, **RunnerEvents.__members__}:
         method = name.lower()
         if own_event(name) not in heard and method in vars(type(config)):
-            yield Finding.warning(
-                f"{session.path.name}, {type(config).__name__}.{method}",
-                f"nothing subscribes it to {name}, so it is never called, as in the earlier tool",
-                "Subscribe it in __init__, or remove it.",
-            )
+            problem = f"nothing subscribes it to {name}, so it is never called, as in the earlier tool"
+            fix = "Subscribe it in __init__, or remove it."
+            yield Finding.warning(f"{session.path.name}, {type(config).__name__}.{method}", problem, fix)
 
 
 def check_waiting(session: Session, operation_type: object) -> Iterator[Finding]:
@@ -203,11 +196,8 @@ def check_packages(recognised: Recognised) -> Iterator[Finding]:
         with suppress(ValueError):  # a module such as `__main__`, which has no origin
             spec = importlib.util.find_spec(package)
         if spec is None:
-            yield Finding.error(
-                f"{recognised.path}:{each.line}",
-                f"there is no module {package!r}",
-                fix_of_missing(recognised.path, package),
-            )
+            problem = f"there is no module {package!r}"
+            yield Finding.error(f"{recognised.path}:{each.line}", problem, fix_of_missing(recognised.path, package))
 
 
 def check_plugins(files: Iterable[Path]) -> list[Finding]:

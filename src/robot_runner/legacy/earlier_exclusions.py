@@ -95,11 +95,8 @@ def _named(session: Session, factors: Sequence[EarlierFactor], exclusion: Any) -
         return NamedExclusion(treatments, has_unknown=given > sum(map(len, treatments.values())))
     if isinstance(exclusion, set | frozenset | list | tuple):
         return _SetOfValues(session, factors, exclusion).named()
-    raise ConfigError(
-        f"an exclusion is {exclusion!r}, of type {type(exclusion).__name__}",
-        where=_WHERE,
-        fix="Give a mapping from factors to lists of treatments, or a set of treatments.",
-    )
+    fix = "Give a mapping from factors to lists of treatments, or a set of treatments."
+    raise ConfigError(f"an exclusion is {exclusion!r}, of type {type(exclusion).__name__}", where=_WHERE, fix=fix)
 
 
 def _named_by_user(
@@ -109,9 +106,8 @@ def _named_by_user(
     for key, wanted in exclusion.items():
         name = getattr(key, "factor_name", key)
         if name not in names:
-            raise ConfigError(
-                f"there is no factor {name!r} in the run table", where=_WHERE, fix=did_you_mean(str(name), names)
-            )
+            fix = did_you_mean(str(name), names)
+            raise ConfigError(f"there is no factor {name!r} in the run table", where=_WHERE, fix=fix)
         place = names.index(name)
         treatments = _listed(wanted)
         for value in treatments:
@@ -215,12 +211,11 @@ class _SetOfValues:
             (value, places) for value, places in zip(self._values, self._candidates, strict=True) if len(places) > 1
         )
         names = " and ".join(repr(self._factors[place].factor_name) for place in several[1])
-        self._session.warn(
-            _WHERE,
+        problem = (
             f"{self._shown} does not say whether {several[0]!r} of {names} is meant: as in the earlier tool, runs that "
-            "have it in any of them are left out",
-            "Name the factor, as in {factor: [treatment]}.",
+            "have it in any of them are left out"
         )
+        self._session.warn(_WHERE, problem, "Name the factor, as in {factor: [treatment]}.")
 
     @property
     def _shown(self) -> str:
@@ -230,9 +225,7 @@ class _SetOfValues:
 def _resolved(value: Any, treatments: Sequence[Any]) -> list[Any]:
     """Return the treatments that a value denotes: those of its type, else equal ones."""
     exact = [treatment for treatment in treatments if _is_same(treatment, value)]
-    return exact or [
-        treatment for treatment in treatments if treatments_are_equal(_as_number(treatment), _as_number(value))
-    ]
+    return exact or [each for each in treatments if treatments_are_equal(_as_number(each), _as_number(value))]
 
 
 def _as_number(value: Any) -> Any:
@@ -251,9 +244,8 @@ def _is_among(value: Any, treatments: Iterable[Any]) -> bool:
 def _warn_of_idle(session: Session, named: Sequence[NamedExclusion], combinations: Sequence[Sequence[Any]]) -> None:
     for place, exclusion in enumerate(named):
         if not any(exclusion.matches(combination) for combination in combinations):
-            session.warn(
-                _WHERE, f"exclusion {place + 1} matches no combination", "Remove it, or correct what it names."
-            )
+            problem = f"exclusion {place + 1} matches no combination"
+            session.warn(_WHERE, problem, "Remove it, or correct what it names.")
 
 
 def _warn_of_overlap(session: Session, named: Sequence[NamedExclusion], combinations: Sequence[Sequence[Any]]) -> None:
@@ -268,9 +260,8 @@ def _warn_of_overlap(session: Session, named: Sequence[NamedExclusion], combinat
     if lost:
         shown = ", ".join(map(repr, lost[:_SHOWN]))
         more = f" and {len(lost) - _SHOWN} more" if len(lost) > _SHOWN else ""
-        session.warn(
-            _WHERE,
+        problem = (
             f"two exclusions match one combination; the earlier tool then also left out {shown}{more}, which no "
-            "exclusion names: they are executed now",
-            "Make the exclusions disjoint, to have the same run table everywhere.",
+            "exclusion names: they are executed now"
         )
+        session.warn(_WHERE, problem, "Make the exclusions disjoint, to have the same run table everywhere.")

@@ -103,11 +103,8 @@ def _takes(callback: Callable[..., Any], count: int) -> bool:
 def _unfit(callback: Callable[..., Any], event: RobotRunnerEvents) -> ConfigError:
     name = getattr(callback, "__name__", repr(callback))
     signature = "self" if event in WITHOUT_CONTEXT else "self, context"
-    return ConfigError(
-        f"{name}{signature_of(callback)} cannot be called at {event.name}",
-        where=place_of(callback),
-        fix=f"Write def {name}({signature}).",
-    )
+    problem = f"{name}{signature_of(callback)} cannot be called at {event.name}"
+    return ConfigError(problem, where=place_of(callback), fix=f"Write def {name}({signature}).")
 
 
 @contextmanager

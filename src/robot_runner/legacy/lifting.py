@@ -88,7 +88,7 @@ def seeding_noted(session: Session) -> Iterator[None]:
 
 #: The earlier tools' names of static parameters, by our names. Attributes with other names of ours have another meaning
 #: in their configs.
-_EARLIER_NAMES = {
+EARLIER_NAMES = {
     "experiment_name": "name",
     "results_output_path": "results_output_path",
     "operation_type": "operation_type",
@@ -124,6 +124,7 @@ class _Lifting:
     def __init__(self, recognised: Recognised, overrides: Mapping[str, str]) -> None:
         self.session = Session(recognised)
         self._recognised = recognised
+        self._source = ConfigSource(recognised.path, recognised.text, recognised.dialect.class_name)
         self._overrides = overrides
         self._stand_ins = StandIns(recognised.path)
         self._set: dict[str, Any] = {}
@@ -150,20 +151,16 @@ class _Lifting:
     def load(self) -> None:
         """Execute the file, apply the overrides, and instantiate the config class."""
         before, threads_before = set(sys.modules), set(threading.enumerate())
-        class_name = self._recognised.dialect.class_name
-        source = ConfigSource(self._recognised.path, self._recognised.text, class_name)
-        module = execute_source(source)
-        config_class = getattr(module, class_name, None)
+        class_name = self._source.class_name
+        config_class = getattr(execute_source(self._source), class_name, None)
         if not isinstance(config_class, type):
-            raise ConfigError(
-                f"the file has no class named {class_name}",
-                fix=f"Describe the experiment in a class {class_name}.",
-            )
+            fix = f"Describe the experiment in a class {class_name}."
+            raise ConfigError(f"the file has no class named {class_name}", fix=fix)
         self._apply(config_class)
         self.session.config_class = config_class
         self._config = config_class()
         for name, value in self._set.items():
-            earlier_name = _EARLIER_NAMES.get(name, name)
+            earlier_name = EARLIER_NAMES.get(name, name)
             if earlier_name in getattr(self._config, "__dict__", {}):
                 setattr(self._config, earlier_name, value)
         self._local_modules = local_modules_among(self._recognised.path, set(sys.modules) - before)
@@ -185,9 +182,8 @@ class _Lifting:
         plugins = self._plugins()
         design = self._design(plugins)
         config = EarlierExperiment(self.session, self._stand_ins, self._parameters(), design, plugins)
-        class_name = self._recognised.dialect.class_name
         return LoadedConfig(
-            source=ConfigSource(self._recognised.path, self._recognised.text, class_name),
+            source=self._source,
             config=config,
             subscriptions=(),
             activated=(),
@@ -232,8 +228,8 @@ class _Lifting:
         return (self._recognised.path, *self._local_modules)
 
     def _value(self, name: str, default: Any) -> Any:
-        if name in _EARLIER_NAMES:
-            return getattr(self._config, _EARLIER_NAMES[name], default)
+        if name in EARLIER_NAMES:
+            return getattr(self._config, EARLIER_NAMES[name], default)
         return self._set.get(name, default)
 
     def _parameters(self) -> dict[str, Any]:
@@ -251,18 +247,13 @@ class _Lifting:
         results, name = getattr(self._config, "results_output_path", None), getattr(self._config, "name", None)
         if not isinstance(results, str | Path) or not isinstance(name, str) or "\0" in f"{results}{name}":
             return None  # the check of the static parameters says why
-        root = Path(f"{results}/{name}").expanduser().absolute()
-        return ExperimentFolder(root, runs_name="")
+        return ExperimentFolder(Path(f"{results}/{name}").expanduser().absolute(), runs_name="")
 
     def _plugins(self) -> list[Plugin]:
         if not getattr(self._config, "self_measure", False):
             return []
-        return [
-            SelfMeasure(
-                binary=getattr(self._config, "self_measure_bin", None),
-                logfile=getattr(self._config, "self_measure_logfile", None),
-            )
-        ]
+        binary = getattr(self._config, "self_measure_bin", None)
+        return [SelfMeasure(binary=binary, logfile=getattr(self._config, "self_measure_logfile", None))]
 
     def _design(self, plugins: list[Plugin]) -> EarlierDesign | ConfigError:
         state = random.getstate()
@@ -272,8 +263,7 @@ class _Lifting:
             random.setstate(self._random_state)
         try:
             with self.executing("in the making of the run table"):
-                made = self._table_method()()
-                return design_of(self.session, made, self._config, [COLUMN] if plugins else [])
+                return design_of(self.session, self._table_method()(), self._config, [COLUMN] if plugins else [])
         except ConfigError as error:
             return error
         finally:
@@ -283,13 +273,9 @@ class _Lifting:
         for name in _TABLE_METHODS:
             if callable(getattr(self._config, name, None)):
                 return getattr(self._config, name)
-        methods = [name for name in dir(self._config) if not name.startswith("_")]
-        near = did_you_mean(_TABLE_METHODS[0], methods)
-        raise ConfigError(
-            "the config makes no run table",
-            where=type(self._config).__name__,
-            fix=near.replace("Did you mean", "Rename") if near.startswith("Did") else f"Define {_TABLE_METHODS[0]}.",
-        )
+        near = did_you_mean(_TABLE_METHODS[0], [name for name in dir(self._config) if not name.startswith("_")])
+        fix = near.replace("Did you mean", "Rename") if near.startswith("Did") else f"Define {_TABLE_METHODS[0]}."
+        raise ConfigError("the config makes no run table", where=type(self._config).__name__, fix=fix)
 
 
 def _recorded_seed(folder: ExperimentFolder) -> tuple[int, bool] | None:

@@ -45,17 +45,8 @@ class Recognised:
 
 
 #: Packages of the earlier tools (`Backbone` in the first version of Robot Runner).
-_EARLIER_ROOTS = frozenset(
-    {
-        "Backbone",
-        "ConfigValidator",
-        "EventManager",
-        "ExperimentOrchestrator",
-        "ExtendedTyping",
-        "Plugins",
-        "ProgressManager",
-    }
-)
+_ROOTS = "Backbone ConfigValidator EventManager ExperimentOrchestrator ExtendedTyping Plugins ProgressManager"
+_EARLIER_ROOTS = frozenset(_ROOTS.split())
 #: Some commits of Robot Runner have `plugins` in lower case, but capitals in the subfolders.
 _EARLIER_PREFIXES = ("plugins.Profilers", "plugins.Systems")
 #: If any module of the earlier tools is imported, one of these is in `sys.modules`.
@@ -128,9 +119,8 @@ class _Reading:
         return tools
 
     def _with_class(self, tools: dict[Dialect, list[tuple[int, str]]]) -> Dialect:
-        dialect = next(iter(tools), None) or next((each for each in Dialect if each.class_name in self._bound), None)
-        if dialect is None:
-            dialect = Dialect.EXPERIMENT_RUNNER
+        named = (each for each in Dialect if each.class_name in self._bound)
+        dialect = next(iter(tools), None) or next(named, Dialect.EXPERIMENT_RUNNER)
         if dialect.class_name not in self._bound and not has_star_import(self._tree):
             raise self._no_class(dialect)
         return dialect
@@ -139,16 +129,12 @@ class _Reading:
         """Recognise a file without imports of a tool: by the config class's name, or by a module that it imports."""
         if Dialect.EXPERIMENT_RUNNER.class_name in self._bound:
             return Dialect.EXPERIMENT_RUNNER
-        if CONFIG_CLASS in self._bound and self._is_earlier_class():
-            return Dialect.ROBOT_RUNNER
-        return None
-
-    def _is_earlier_class(self) -> bool:
         config = classes_of(self._tree).get(CONFIG_CLASS)
         names = bound_names(config.body) if config else {}
-        if "experiment_name" in names:
-            return False
-        return "name" in names or any(self._neighbours_are_earlier())
+        if CONFIG_CLASS not in self._bound or "experiment_name" in names:
+            return None
+        is_earlier = "name" in names or any(self._neighbours_are_earlier())
+        return Dialect.ROBOT_RUNNER if is_earlier else None
 
     def _neighbours_are_earlier(self) -> Iterator[bool]:
         for each in self._imports if self._depth < _MOST_PARENTS else ():

@@ -132,11 +132,8 @@ def as_mapping(returned: Any) -> Mapping[Any, Any]:
         return {name: returned[name] for name in returned.keys()}  # noqa: SIM118 - it may not be iterable
     if not returned:  # Experiment Runner's test
         return {}
-    raise MeasureError(
-        f"populate_run_data returned {returned!r}, of type {type(returned).__name__}",
-        where="config",
-        fix="Return a dict from data column to value, or nothing.",
-    )
+    problem = f"populate_run_data returned {returned!r}, of type {type(returned).__name__}"
+    raise MeasureError(problem, where="config", fix="Return a dict from data column to value, or nothing.")
 
 
 def publish_row(
@@ -186,16 +183,13 @@ def _keep_aside(context: RobotRunnerContext, design: EarlierDesign, column: Any,
     """Publish a value without a column, which is refused: it is kept in the run's folder, and the run goes on."""
     with suppress(MeasureError):
         context.publish(str(column), value)
-    context.warn(
-        f"{column!r} is not a data column: its value is kept in refused.jsonl; the earlier tool shifted the row",
-        fix=f"{did_you_mean(str(column), map(str, design.data_columns))} Or add it to data_columns.".strip(),
-    )
+    problem = f"{column!r} is not a data column: its value is kept in refused.jsonl; the earlier tool shifted the row"
+    fix = f"{did_you_mean(str(column), map(str, design.data_columns))} Or add it to data_columns.".strip()
+    context.warn(problem, fix=fix)
 
 
 def _warn_of_changed_treatment(context: RobotRunnerContext, design: EarlierDesign, column: Any, value: Any) -> None:
     planned = value_of(planned_of(context)[design.names[column]])
     if value is not planned and str(value) != str(planned):
-        context.warn(
-            f"populate_run_data returned {value!r} for the factor {column!r}, which is {planned!r} in this run",
-            fix="Return it under the name of a data column.",
-        )
+        problem = f"populate_run_data returned {value!r} for the factor {column!r}, which is {planned!r} in this run"
+        context.warn(problem, fix="Return it under the name of a data column.")

@@ -115,18 +115,12 @@ def numbering_of(recognised: Recognised, arguments: Collection[str], repetitions
     """
     if _OF_FORK & set(arguments):
         return Numbering.COUNTED_FROM_1
-    tool = _in_tool(clone_around(recognised.path).text_of("ConfigValidator.Config.Models.RunTableModel"))
+    found = _ID.search(clone_around(recognised.path).text_of("ConfigValidator.Config.Models.RunTableModel"))
+    counted = Numbering.COUNTED_FROM_1 if found and found["from_1"] else Numbering.COUNTED_FROM_0
+    tool = _KINDS.get(found["kind"], counted) if found else None
     if tool is None or (tool is Numbering.COUNTED_FROM_0 and repetitions > 1):  # that tool did not repeat
         return _in_text(recognised, arguments)
     return tool
-
-
-def _in_tool(text: str) -> Numbering | None:
-    found = _ID.search(text)
-    if found is None:
-        return None
-    counted = Numbering.COUNTED_FROM_1 if found["from_1"] else Numbering.COUNTED_FROM_0
-    return _KINDS.get(found["kind"], counted)
 
 
 def _in_text(recognised: Recognised, arguments: Collection[str]) -> Numbering:

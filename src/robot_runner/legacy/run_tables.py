@@ -207,17 +207,11 @@ def _check_names(model: RunTableModel) -> None:
 
 def _checked_rows(returned: Any) -> list[Mapping[Any, Any]]:
     if not isinstance(returned, list | tuple):
-        raise ConfigError(
-            f"the config returned {returned!r}, of type {type(returned).__name__}",
-            where=_WHERE,
-            fix="Return the RunTableModel, or the rows of its get_experiment_run_table().",
-        )
+        fix = "Return the RunTableModel, or the rows of its get_experiment_run_table()."
+        raise ConfigError(f"the config returned {returned!r}, of type {type(returned).__name__}", where=_WHERE, fix=fix)
     if not returned:
-        raise ConfigError(
-            "the run table has no runs",
-            where=_WHERE,
-            fix="Call create_experiment_run_table() before get_experiment_run_table().",
-        )
+        fix = "Call create_experiment_run_table() before get_experiment_run_table()."
+        raise ConfigError("the run table has no runs", where=_WHERE, fix=fix)
     for row in returned:
         if not isinstance(row, Mapping):
             raise ConfigError(f"a row is {row!r}", where=_WHERE, fix="Make each row a dict.")
@@ -242,16 +236,13 @@ def _columns_of(rows: Sequence[Mapping[Any, Any]], model: RunTableModel | None) 
 def _treatments(
     session: Session, column: Any, rows: Sequence[Mapping[Any, Any]], model: RunTableModel | None
 ) -> list[tuple[Any, Any]]:
-    listed = next(
-        (factor.treatments for factor in (model.get_factors() if model else ()) if factor.factor_name == column), ()
-    )
+    factors = model.get_factors() if model is not None else ()
+    listed = next((factor.treatments for factor in factors if factor.factor_name == column), ())
 
     def warn(value: Any, text: str) -> None:
-        session.warn(
-            f"factor {column!r}",
-            f"treatment {value!r} could not be recognised when resuming; in the run table it is {text!r}",
-            f"Give {type(value).__name__} a __str__ that tells it from the others, or vary a name.",
-        )
+        problem = f"treatment {value!r} could not be recognised when resuming; in the run table it is {text!r}"
+        fix = f"Give {type(value).__name__} a __str__ that tells it from the others, or vary a name."
+        session.warn(f"factor {column!r}", problem, fix)
 
     return shown_treatments([*listed, *(row.get(column, "") for row in rows)], warn)
 

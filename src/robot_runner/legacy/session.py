@@ -102,11 +102,8 @@ def current_session() -> Session:
         ConfigError: no config is being executed.
     """
     if not _active:
-        raise ConfigError(
-            "the modules of the earlier tools are there only while Robot Runner executes a config file",
-            where="stand-in modules",
-            fix="Start the file with `robot-runner run`.",
-        )
+        problem = "the modules of the earlier tools are there only while Robot Runner executes a config file"
+        raise ConfigError(problem, where="stand-in modules", fix="Start the file with `robot-runner run`.")
     return _active[-1]
 
 
@@ -123,11 +120,8 @@ def current_run(where: str) -> RobotRunnerContext:
     """
     context = active_context()
     if context is None:
-        raise LinkError(
-            f"{where} can be used only while a run is executed",
-            where=where,
-            fix="Use it in start_run and in the events after it.",
-        )
+        fix = "Use it in start_run and in the events after it."
+        raise LinkError(f"{where} can be used only while a run is executed", where=where, fix=fix)
     return context
 
 

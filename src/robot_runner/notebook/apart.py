@@ -43,8 +43,7 @@ def execute_in_interpreter(
         say: takes lines for the user; None for nobody.
     """
     reader, writer = os.pipe()
-    program = f"from {__name__} import be_requested; be_requested()"
-    line = [sys.executable, "-c", program, function, str(writer)]
+    line = [sys.executable, "-c", f"from {__name__} import be_requested; be_requested()", function, str(writer)]
     searched = (each for each in sys.path if isinstance(each, str) and each)  # as Python does, which takes no Path
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(searched)}
     with _Interrupts() as interrupts:
@@ -187,11 +186,8 @@ def _outcome(code: int, last: dict[str, Any], interrupts: _Interrupts) -> Experi
         findings = [Finding(Severity(each.pop("severity")), **each) for each in last["findings"]]
         raise kind.of_findings(findings)
     if "finished" not in last:
-        raise ExecutionError(
-            f"the process that executed the experiment ended with code {code}",
-            where="run_experiment",
-            fix="Call it again: it resumes.",
-        )
+        problem = f"the process that executed the experiment ended with code {code}"
+        raise ExecutionError(problem, where="run_experiment", fix="Call it again: it resumes.")
     facts = last["finished"]
     facts["findings"] = tuple(Finding(Severity(each.pop("severity")), **each) for each in facts["findings"])
     return ExperimentFinished(**facts | {"folder": Path(facts["folder"]), "run_table": Path(facts["run_table"])})

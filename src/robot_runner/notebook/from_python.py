@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.config import preparation
+from robot_runner.core.config.executed_as_script import tell_nothing
 from robot_runner.core.config.loader import file_being_loaded
 from robot_runner.core.entry_points import entry_points
 from robot_runner.core.errors import AnalysisError, ConfigError, ExecutionError, Finding, PluginError, RobotRunnerError
@@ -76,11 +77,8 @@ class ExperimentResults:
             (point,) = entry_points("frames")[:1]
             frame: pd.DataFrame = point.load()(self.folder).runs
         except (ValueError, PluginError) as error:
-            raise AnalysisError(
-                f"no data frame can be made: {error}",
-                where=str(self.folder),
-                fix="Install the libraries: pip install 'robot-runner[analysis]'. `rows` needs none.",
-            ) from error
+            fix = "Install the libraries: pip install 'robot-runner[analysis]'. `rows` needs none."
+            raise AnalysisError(f"no data frame can be made: {error}", where=str(self.folder), fix=fix) from error
         return frame
 
 
@@ -131,11 +129,8 @@ def run_experiment(  # noqa: PLR0913 - one keyword for each thing that the comma
         [1.0, 2.0]
     """
     if file_being_loaded() is not None:  # `check` loads it, too, and touches nothing
-        raise ConfigError(
-            "the file executes an experiment while it is loaded",
-            where="run_experiment",
-            fix="Put the call below `if __name__ == '__main__':`, so that only `python FILE` executes it.",
-        )
+        fix = "Put the call below `if __name__ == '__main__':`, so that only `python FILE` executes it."
+        raise ConfigError("the file executes an experiment while it is loaded", where="run_experiment", fix=fix)
     texts = as_texts(settings or {})
     if folder is not None:
         texts["results_output_path"] = str(Path(folder).expanduser().absolute())
@@ -143,12 +138,10 @@ def run_experiment(  # noqa: PLR0913 - one keyword for each thing that the comma
         accept_changes=accept_changes, redo=runs_named("redo", redo), only=runs_named("only", only), probe=probe
     )
     if not isinstance(config, str | Path) and not is_config(config):
-        raise ConfigError(
-            f"{config!r} is not a config",
-            where="run_experiment",
-            fix="Give the path of a config file, a class with create_run_table, or an instance of one.",
-        )
-    with _said_for_python():
+        fix = "Give the path of a config file, a class with create_run_table, or an instance of one."
+        raise ConfigError(f"{config!r} is not a config", where="run_experiment", fix=fix)
+    with _said_for_python(), ExitStack() as at_end:
+        at_end.callback(tell_nothing)  # the config may be a class of the script
         return _carried_out(config, texts, resumption, say, observer)
 
 
@@ -162,11 +155,9 @@ def _carried_out(
     if _is_free():
         return _results(_executed(config, texts, resumption, observer or _Teller(say)))
     if observer is not None:
-        raise ExecutionError(
-            "an observer can only watch an experiment that is executed in this process",
-            where="run_experiment",
-            fix="Take lines by say=print, or call it in the main thread of a program without other threads.",
-        )
+        problem = "an observer can only watch an experiment that is executed in this process"
+        fix = "Take lines by say=print, or call it in the main thread of a program without other threads."
+        raise ExecutionError(problem, where="run_experiment", fix=fix)
     if isinstance(config, str | Path):
         path = str(Path(config).expanduser().absolute())
         request = {"config": path, "texts": texts, "asked": asdict(resumption)}
@@ -220,8 +211,7 @@ def _in_python(text: str) -> str:
 
 def requested(request: Mapping[str, Any], tell: Callable[[str], object]) -> notices.ExperimentFinished:
     """Execute what a program with threads asks a fresh interpreter for."""
-    resumption = Resumption(**request["asked"])
-    return _executed(request["config"], request["texts"], resumption, _Teller(tell))
+    return _executed(request["config"], request["texts"], Resumption(**request["asked"]), _Teller(tell))
 
 
 def _is_free() -> bool:
@@ -244,11 +234,9 @@ def _executed(
 
 
 def _results(finished: notices.ExperimentFinished) -> ExperimentResults:
-    files = ExperimentFolder.found_at(finished.folder)
-    rows = read_described_table(files)
     return ExperimentResults(
         folder=finished.folder,
-        rows=tuple(rows),
+        rows=tuple(read_described_table(ExperimentFolder.found_at(finished.folder))),
         done_count=finished.done_count,
         failed_count=finished.failed_count,
         todo_count=finished.todo_count,
@@ -279,8 +267,7 @@ class _Teller(notices.SilentObserver):
                 treatments = ", ".join(f"{name}={value}" for name, value in task.combination.items())
                 self._say(f"run {task.run_number} of {task.run_count} ({task.run_id}) starts: {treatments}")
             case notices.AttemptFinished(task, outcome):
-                how = (
-                    "is done" if outcome.status is AttemptStatus.DONE else f"{outcome.status.value}: {outcome.failure}"
-                )
+                is_done = outcome.status is AttemptStatus.DONE
+                how = "is done" if is_done else f"{outcome.status.value}: {outcome.failure}"
                 left = f", {notice.left.in_words()}" if notice.left is not None and notice.left.others else ""
                 self._say(f"{task.run_id} {how} after {shown_duration(outcome.seconds)}{left}")

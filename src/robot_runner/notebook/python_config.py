@@ -136,8 +136,7 @@ def _source(kind: type, folder: Path) -> tuple[ConfigSource, str, list[Finding]]
     if file.is_file():
         path = file.resolve()
         text = decode_source(path.read_bytes())
-        findings = _unloadable(where, path, kind, text)
-        return ConfigSource(path, text, kind.__name__), "file", findings
+        return ConfigSource(path, text, kind.__name__), "file", _unloadable(where, path, kind, text)
     text = _cell(kind)
     if text:
         kept, problem = "cell", "it stands in no file: its cell is kept, and not what it uses of other cells"

@@ -201,9 +201,8 @@ class EventStream:
         self._channel = channel
         self._headers = headers
 
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+    async def __call__(self, _scope: Scope, receive: Receive, send: Send) -> None:
         """Send the snapshot, and then all messages."""
-        del scope
         head = {
             **self._headers,
             "content-type": "text/event-stream",

@@ -232,11 +232,8 @@ class FollowedExperiment:
 
     def _columns(self) -> dict[str, Any]:
         measures = [{"name": name, "unit": self.table.units.get(name, "")} for name in self.table.measures]
-        note = (
-            "The run table is too large for this page: see run_table.csv."
-            if self.table.is_too_large(self._files)
-            else ""
-        )
+        is_too_large = self.table.is_too_large(self._files)
+        note = "The run table is too large for this page: see run_table.csv." if is_too_large else ""
         return {"total": len(self.table), "factors": list(self.table.factors), "measures": measures, "note": note}
 
     def snapshot(self) -> dict[str, Any]:
@@ -321,23 +318,21 @@ class FollowedExperiment:
 
     def _waiting(self, waiting: Mapping[str, Any]) -> dict[str, Any]:
         questions = [Question.from_mapping(facts) for facts in waiting["questions"]]
-        asked = [question.as_mapping() | {"hint": question.hint} for question in questions]
         return {
             "run": waiting["next_run"],
             "place": waiting["place"],
             "step": waiting["step"],
             "is_after": waiting["is_after"],
             "treatments": self.table.combination(waiting["next_run"]),
-            "questions": asked,
+            "questions": [each.as_mapping() | {"hint": each.hint} for each in questions],
         }
 
     def _findings(self) -> dict[str, Any]:
         if self._status is None:
             return {"total": 0, "last": [], "failures": []}
-        findings = [*self._status.findings][-_MOST_FINDINGS:]
         told = [
             {name: harmless(getattr(each, name)[:_LONGEST_TEXT]) for name in ("where", "problem", "fix")}
-            for each in findings
+            for each in [*self._status.findings][-_MOST_FINDINGS:]
         ]
         failures = [harmless(each[:_LONGEST_TEXT]) for each in self._status.failures[-_MOST_FINDINGS:]]
         return {"total": len(self._status.findings), "last": told, "failures": failures}

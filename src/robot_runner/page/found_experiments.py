@@ -141,12 +141,8 @@ def _below(folder: Path) -> Iterator[Path]:
                 yield here
             elif depth < _DEEPEST:
                 with os.scandir(here) as entries:
-                    names = sorted(
-                        each.name
-                        for each in entries
-                        if each.is_dir(follow_symlinks=False) and not each.name.startswith(".")
-                    )
-                left += [(here / name, depth + 1) for name in names]
+                    names = sorted(each.name for each in entries if each.is_dir(follow_symlinks=False))
+                left += [(here / name, depth + 1) for name in names if not name.startswith(".")]
         except (OSError, RobotRunnerError):
             continue
 

@@ -27,7 +27,7 @@ class Role(IntEnum):
 
 
 #: How long a login lasts, s: a study of a month.
-_LOGIN_LASTS = 31 * 24 * 3600
+LOGIN_LASTS = 31 * 24 * 3600
 _SECRET_BYTES = 32
 
 
@@ -85,7 +85,7 @@ class Keys:
 
     def login(self, role: Role) -> str:
         """Return the content of the cookie for a role."""
-        until = int(time.time()) + _LOGIN_LASTS
+        until = int(time.time()) + LOGIN_LASTS
         return f"{role.name}.{until}.{self._signed(f'login {role.name} {until}')}"
 
     def role_of_login(self, login: str) -> Role:

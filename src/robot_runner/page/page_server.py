@@ -22,7 +22,7 @@ from robot_runner.core.storage.guarded_files import MissingFileError, read_bytes
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.page.event_stream import Channel, EventStream, Followers, as_json
 from robot_runner.page.found_experiments import FoundExperiments, metrics_text
-from robot_runner.page.page_access import Keys, RateLimit, Role, is_known_host, is_of_same_origin
+from robot_runner.page.page_access import LOGIN_LASTS, Keys, RateLimit, Role, is_known_host, is_of_same_origin
 from robot_runner.page.person_actions import ACTIONS, RefusedAnswersError
 from robot_runner.page.robot_pictures import RobotPictures
 
@@ -153,8 +153,7 @@ class LivePage:
         return f"robot_runner_{self._settings.port}"
 
     @asynccontextmanager
-    async def _life(self, app: Starlette) -> AsyncIterator[None]:
-        del app
+    async def _life(self, _app: Starlette) -> AsyncIterator[None]:
         try:
             yield
         finally:
@@ -187,8 +186,7 @@ class LivePage:
 
     # Without a key: files that have nothing of an experiment.
 
-    async def _page(self, request: Request) -> Response:
-        del request
+    async def _page(self, _request: Request) -> Response:
         return Response(self._assets["page.html"], media_type="text/html")
 
     async def _asset(self, request: Request) -> Response:
@@ -208,11 +206,10 @@ class LivePage:
             raise HTTPException(403, "This link is not valid, or no longer: ask for the present one.")
         response = JSONResponse({"role": role.name})
         login = self._settings.keys.login(role)
-        response.set_cookie(self._cookie, login, max_age=31 * 24 * 3600, httponly=True, samesite="strict", path="/")
+        response.set_cookie(self._cookie, login, max_age=LOGIN_LASTS, httponly=True, samesite="strict", path="/")
         return response
 
-    async def _logout(self, request: Request) -> Response:
-        del request
+    async def _logout(self, _request: Request) -> Response:
         response = JSONResponse({})
         response.delete_cookie(self._cookie, httponly=True, samesite="strict", path="/")
         return response
@@ -226,12 +223,12 @@ class LivePage:
         told = {"only": only, "may_act": may_act, "name": self._settings.folder.name, "links": links}
         return Response(as_json(told), media_type="application/json")
 
-    async def _index_events(self, request: Request) -> Any:
-        return self._stream(request, self._index)
+    async def _index_events(self, _request: Request) -> Any:
+        return self._stream(self._index)
 
     async def _events(self, request: Request) -> Any:
         _, channel = self._followers.channel(await self._folder(request))
-        return self._stream(request, channel)
+        return self._stream(channel)
 
     async def _rows(self, request: Request) -> Response:
         experiment = await self._followers.looked_at(await self._folder(request))
@@ -269,8 +266,7 @@ class LivePage:
         said = await _body(request)
         return JSONResponse({"said": await asyncio.to_thread(act, experiment, said)})
 
-    async def _metrics(self, request: Request) -> Response:
-        del request
+    async def _metrics(self, _request: Request) -> Response:
         told = (await asyncio.to_thread(self._found.look))["experiments"]
         viewers = self._followers.viewers + len(self._index)
         text = metrics_text(told, viewers).encode("utf-8", "replace")  # names of folders may have invalid bytes
@@ -282,8 +278,7 @@ class LivePage:
             raise HTTPException(404, "There is no such experiment.")
         return folder
 
-    def _stream(self, request: Request, channel: Channel) -> Any:
-        del request
+    def _stream(self, channel: Channel) -> Any:
         if self._followers.viewers + len(self._index) >= self._settings.most_viewers:
             raise HTTPException(503, f"{self._settings.most_viewers} people look already.")
         return EventStream(channel, _HEADERS)
@@ -330,14 +325,12 @@ def _plain(status: int, text: str) -> Response:
     return JSONResponse({"problem": text}, status_code=status, headers=_HEADERS)
 
 
-async def _refusal(request: Request, error: HTTPException) -> Response:
-    del request
+async def _refusal(_request: Request, error: HTTPException) -> Response:
     return JSONResponse({"problem": error.detail}, status_code=error.status_code)
 
 
-async def _error(request: Request, error: RobotRunnerError) -> Response:
+async def _error(_request: Request, error: RobotRunnerError) -> Response:
     """Return the response for an error of ours; refused answers have the names of their questions."""
-    del request
     found = [{"where": each.where, "problem": each.problem, "fix": each.fix} for each in error.findings]
     status = 422 if isinstance(error, RefusedAnswersError) else 409
     return JSONResponse({"problem": error.findings[0].problem, "findings": found}, status_code=status)

@@ -53,26 +53,23 @@ def _for_a_page(finding: Finding) -> Finding:
     return type(finding).error(finding.where, finding.problem, "Enter an answer." if is_missing else finding.fix)
 
 
-def _pause(experiment: FollowedExperiment, said: Mapping[str, Any]) -> str:
+def _pause(experiment: FollowedExperiment, _said: Mapping[str, Any]) -> str:
     """Ask for a pause before the next run."""
-    del said
     status = _status(experiment)
     require_executed(status, experiment.folder.name, "There is nothing to pause")
     leave_request(ExperimentFolder(experiment.folder).pause)
     return f"It pauses {status.moment_of_pause}."
 
 
-def _end_pause(experiment: FollowedExperiment, said: Mapping[str, Any]) -> str:
+def _end_pause(experiment: FollowedExperiment, _said: Mapping[str, Any]) -> str:
     """End a pause, or take the request back."""
-    del said
     require_executed(_status(experiment), experiment.folder.name, "There is nothing to go on with")
     forget_requests(ExperimentFolder(experiment.folder).pause)
     return "It goes on."
 
 
-def _stop(experiment: FollowedExperiment, said: Mapping[str, Any]) -> str:
+def _stop(experiment: FollowedExperiment, _said: Mapping[str, Any]) -> str:
     """Ask to stop as by Ctrl-C."""
-    del said
     status = _status(experiment)
     require_executed(status, experiment.folder.name, "There is nothing to stop")
     leave_request(ExperimentFolder(experiment.folder).stop)
@@ -83,9 +80,8 @@ def _status(experiment: FollowedExperiment) -> ExperimentStatus:
     experiment.look()
     status = experiment.status()
     if status is None:
-        raise ExecutionError(
-            "nothing is known of this experiment yet", where=experiment.folder.name, fix="Wait a moment."
-        )
+        fix = "Wait a moment."
+        raise ExecutionError("nothing is known of this experiment yet", where=experiment.folder.name, fix=fix)
     return status
 
 

@@ -95,9 +95,8 @@ class RobotPictures:
         raise self._refusal()
 
     def _started(self, way: str) -> subprocess.Popen[bytes]:
-        command = [sys.executable, "-P", "-m", __name__, self._kind]
         return subprocess.Popen(  # noqa: S603 - our own program
-            command,
+            [sys.executable, "-P", "-m", __name__, self._kind],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,

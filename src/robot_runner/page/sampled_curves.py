@@ -140,8 +140,7 @@ class _SampleFile:
         self.columns = [headings[place][:_LONGEST_NAME] for place in self._places]
         self.samples = ThinnedSamples(len(self._places))
         if all(name in folded for name in _WAY):
-            named = (*_WAY, *([_HEADING] if _HEADING in folded else []))
-            self._way_places = [folded.index(name) for name in named]
+            self._way_places = [folded.index(name) for name in (*_WAY, _HEADING) if name in folded]
             self.way = []
 
     def _take(self, row: list[str]) -> None:
@@ -178,7 +177,6 @@ class _SampleFile:
         if self.samples is None or not self.samples.times:
             return None
         low, high, last, last_at = self.samples.low, self.samples.high, self.samples.last, self.samples.last_at
-        shown = [place for place, value in enumerate(last) if value is not None]
         return {
             "plugin": self.plugin,
             "file": self.name,
@@ -187,8 +185,9 @@ class _SampleFile:
             "times": [time - begin for time in self.samples.times],
             "columns": [
                 {"name": self.columns[each], "low": low[each], "high": high[each]}
-                | {"last": last[each], "last_at": last_at[each] - begin}
-                for each in shown
+                | {"last": value, "last_at": last_at[each] - begin}
+                for each, value in enumerate(last)
+                if value is not None
             ],
             "way": self.way,
             "pose": self._pose,
@@ -265,8 +264,7 @@ class RunCurves:
 def _regular(folder: Path) -> list[Path]:
     try:
         with os.scandir(folder) as entries:
-            return sorted(
-                folder / each.name for each in entries if stat.S_ISREG(each.stat(follow_symlinks=False).st_mode)
-            )
+            names = (each.name for each in entries if stat.S_ISREG(each.stat(follow_symlinks=False).st_mode))
+            return sorted(folder / name for name in names)
     except OSError:
         return []

@@ -67,8 +67,7 @@ class Serving:
         """
         _require_extra()
         listener = _listening(host, _port(port))
-        keys = Keys.of_user(anew=has_new_links)
-        return cls(listener, folder, keys, known_names(names), is_read_only, is_one)
+        return cls(listener, folder, Keys.of_user(anew=has_new_links), known_names(names), is_read_only, is_one)
 
     @property
     def port(self) -> int:
@@ -162,9 +161,8 @@ def _require_extra() -> None:
 def _port(text: str) -> int:
     if text.isascii() and text.isdecimal() and int(text) <= _LARGEST_PORT:
         return int(text)
-    raise ConfigError(
-        f"{text!r} is not a port", where="--port", fix=f"Give a number of 0 to {_LARGEST_PORT:,}; 0 takes any."
-    )
+    fix = f"Give a number of 0 to {_LARGEST_PORT:,}; 0 takes any."
+    raise ConfigError(f"{text!r} is not a port", where="--port", fix=fix)
 
 
 def _listening(host: str, port: int) -> socket.socket:
@@ -191,9 +189,8 @@ def _not_listening(error: OSError, host: str, port: int) -> ExecutionError:
         fix = f"Choose another one (--port {port + 1 if port < _LARGEST_PORT else port - 1}), or any (--port 0)."
         return ExecutionError(f"port {port} is in use, perhaps by another live page", where=where, fix=fix)
     if error.errno == errno.EADDRNOTAVAIL:
-        return ExecutionError(
-            "this machine has no such address", where=where, fix="Listen at 0.0.0.0: all that it has."
-        )
+        fix = "Listen at 0.0.0.0: all that it has."
+        return ExecutionError("this machine has no such address", where=where, fix=fix)
     if error.errno == errno.EACCES:
         return ExecutionError("you may not listen at this port", where=where, fix="Choose one of 1024 and more.")
     return ExecutionError(f"the page cannot listen there: {error.strerror}", where=where, fix="Choose another address.")

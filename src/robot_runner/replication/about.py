@@ -285,7 +285,6 @@ def zenodo_text(about: About, description: str) -> str:
 
 
 def _known_licences() -> dict[str, dict[str, Any]]:
-    """Return the records of SPDX's list by their identifiers."""
     import spdx  # noqa: PLC0415 - an extra
 
     known = {str(each["id"]): each for each in spdx.licenses()}

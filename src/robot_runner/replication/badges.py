@@ -11,6 +11,7 @@ import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -99,12 +100,9 @@ def badge_lines(facts: BadgeFacts) -> tuple[BadgeLine, ...]:
 def badges_text(facts: BadgeFacts) -> str:
     """Return the checklist as Markdown."""
     rows: list[str] = []
-    badge = ""
-    for line in badge_lines(facts):
-        if line.badge != badge:
-            rows += ["", f"## {line.badge}", "", "| asked for | state | fact |", "|---|---|---|"]
-        badge = line.badge
-        rows.append(f"| {line.what} | {line.state.value} | {_cell(line.fact)} |")
+    for badge, lines in groupby(badge_lines(facts), key=lambda line: line.badge):
+        rows += ["", f"## {badge}", "", "| asked for | state | fact |", "|---|---|---|"]
+        rows += [f"| {line.what} | {line.state.value} | {_cell(line.fact)} |" for line in lines]
     return (
         f"# Checklist for ACM's artifact badges: {facts.about.name}\n\n"
         f"What this package has of what [ACM's policy]({_POLICY}), version 1.1, asks for. The badges are given by "

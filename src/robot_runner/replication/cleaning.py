@@ -172,13 +172,12 @@ class Search:
             raise ValueError("the contents unpack to more than 4 GiB, and were not looked through to their end")
 
     def _look_through(self, file: BinaryIO, start: bytes) -> None:
-        if b"\0" not in start:
-            self.found += self._redactor.secrets_in(chunks_of(file), Grammar.TEXT)
-            return
-        self.found += self._redactor.secrets_in(chunks_of(file), Grammar.MARKUP)
-        file.seek(0)  # text in UTF-16 becomes readable without its zeros
-        without_zeros = (chunk.replace(b"\0", b"") for chunk in chunks_of(file))
-        self.found += self._redactor.secrets_in(without_zeros, Grammar.MARKUP)
+        has_zeros = b"\0" in start
+        self.found += self._redactor.secrets_in(chunks_of(file), Grammar.MARKUP if has_zeros else Grammar.TEXT)
+        if has_zeros:
+            file.seek(0)  # text in UTF-16 becomes readable without its zeros
+            without_zeros = (chunk.replace(b"\0", b"") for chunk in chunks_of(file))
+            self.found += self._redactor.secrets_in(without_zeros, Grammar.MARKUP)
 
 
 class _Bounded(io.RawIOBase):
@@ -307,9 +306,8 @@ class Cleaning:
             else:
                 yield from (text.encode(encoding) for text in codecs.iterdecode(cleaned, "utf-8"))
         for counts, noted in ((hits.replaced, self.replaced), (hits.doubtful, self.doubtful)):
-            noted += [
-                Replaced(file.name, what, count, tuple(hits.lines[what])) for what, count in sorted(counts.items())
-            ]
+            kinds = sorted(counts.items())
+            noted += [Replaced(file.name, what, count, tuple(hits.lines[what])) for what, count in kinds]
 
     def refusals(self) -> list[Finding]:
         """Return an error for each possible secret that was neither replaced nor allowed."""

@@ -142,8 +142,7 @@ def _methods_of(name: str, sources: tuple[_Source, ...]) -> dict[str, tuple[_Sou
         if found := classes.pop(pending.pop(0), None):  # each once: bases may form a cycle
             source, made = found
             pending[:0] = map(name_of, made.bases)
-            own = {node.name: (source, node) for node in made.body if isinstance(node, ast.FunctionDef)}
-            methods = own | methods
+            methods = {node.name: (source, node) for node in made.body if isinstance(node, ast.FunctionDef)} | methods
     return methods
 
 

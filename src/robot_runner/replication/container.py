@@ -147,7 +147,4 @@ def container_commands(experiment: str, folder: str) -> tuple[str, ...]:
     """Return the commands that build the image from an unpacked package, and replicate in it."""
     image = image_name(experiment)
     results = f'"$HOME/{image}"'  # not in the package's folder, which must not change
-    return (
-        f"podman build -t {image} {folder}",
-        f"mkdir -p {results} && podman run --rm -v {results}:/results {image}",
-    )
+    return (f"podman build -t {image} {folder}", f"mkdir -p {results} && podman run --rm -v {results}:/results {image}")

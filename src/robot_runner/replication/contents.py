@@ -163,9 +163,8 @@ def media_type_of(name: str) -> MediaType:
         >>> media_type_of("runs/r_1/PsUtil/samples.csv").name
         'text/csv'
     """
-    return (
-        _TEXT if name in {CONTAINERFILE, SUMS, LICENCE} else _BY_SUFFIX.get(PurePosixPath(name).suffix.casefold(), _ANY)
-    )
+    otherwise = _TEXT if name in {CONTAINERFILE, SUMS, LICENCE} else _ANY
+    return _BY_SUFFIX.get(PurePosixPath(name).suffix.casefold(), otherwise)
 
 
 def folder_of(name: str, run_folders: Container[str]) -> str:

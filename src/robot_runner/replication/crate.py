@@ -87,11 +87,7 @@ def crate_text(
 
 class _Crate:
     def __init__(
-        self,
-        about: About,
-        manifest: Mapping[str, Any],
-        runs: Sequence[ExecutedRun],
-        run_folders: Mapping[str, str],
+        self, about: About, manifest: Mapping[str, Any], runs: Sequence[ExecutedRun], run_folders: Mapping[str, str]
     ) -> None:
         self._crate = require_rocrate().ROCrate(version="1.1")
         self._crate.metadata.extra_terms["sha256"] = _SHA256
@@ -222,9 +218,8 @@ class _Crate:
         if organisation:
             url = author.get("affiliation_url")
             identifier = url or f"#organisation-{_fragment(organisation)}"
-            affiliation = self._crate.dereference(identifier) or self._entity(
-                identifier, "Organization", name=organisation, url=url
-            )
+            affiliation = self._crate.dereference(identifier)
+            affiliation = affiliation or self._entity(identifier, "Organization", name=organisation, url=url)
         person = f"https://orcid.org/{orcid}" if orcid else f"#author-{place + 1}"
         return self._entity(person, "Person", name=author.get("name"), affiliation=affiliation)
 

@@ -8,7 +8,6 @@ import shutil
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +20,7 @@ from robot_runner.replication.distributions import (
     canonical,
     distributions_in,
     installed_distributions,
+    spec_of,
 )
 from robot_runner.replication.environment import importers, modules_to_install
 
@@ -200,13 +200,13 @@ def missing_modules(root: Path, manifest: Mapping[str, Any]) -> list[Finding]:
     for plugin in manifest.get("plugins", ()):
         module, _, kind = str(plugin.get("class", "")).partition(":")
         top, package, release = module.partition(".")[0], plugin.get("package"), plugin.get("version")
-        if top not in {*local, "robot_runner_config"} and not _is_installed(module):
+        if top not in {*local, "robot_runner_config"} and spec_of(top) is None:
             fix = _installing(root, str(package), str(release)) if package else f"Install what brings {module}."
             problem = f"{kind}, of {package or module}, is not installed"
             findings.append(Finding.error(f"plugin {plugin.get('name')}", problem, fix))
         seen.add(top)
     for name in sorted(modules_to_install(config) - seen):
-        if not _is_installed(name):
+        if spec_of(name) is None:
             fix = "Install the package that brings it, or have the environment made: --environment venv"
             findings.append(Finding.error("config", f"the config imports {name}, which is not installed", fix))
     return findings
@@ -219,10 +219,3 @@ def _installing(root: Path, package: str, release: str) -> str:
         if (canonical(name), tags.partition("-")[0]) == (canonical(package), release):
             return f"Install it from the package: pip install {shlex.quote(str(wheel))}"
     return f"Install it: pip install {package}=={release}"
-
-
-def _is_installed(module: str) -> bool:
-    try:
-        return find_spec(module) is not None
-    except (ImportError, ValueError):  # a parent package is missing
-        return False

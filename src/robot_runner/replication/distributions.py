@@ -18,6 +18,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache
 from importlib import metadata
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 from urllib.parse import urlsplit
@@ -25,6 +26,8 @@ from urllib.parse import urlsplit
 from robot_runner.replication.plain_zip import PlainZip
 
 if TYPE_CHECKING:
+    from importlib.machinery import ModuleSpec
+
     from packaging.requirements import Requirement
 
 #: Extras for the developers of a package, not for its users.
@@ -50,6 +53,14 @@ def canonical(name: str) -> str:
         'annotated-types'
     """
     return re.sub(r"[-_.]+", "-", name).lower()
+
+
+def spec_of(module: str) -> ModuleSpec | None:
+    """Return where a top-level module is, which is not imported; None if it is not found."""
+    try:
+        return find_spec(module)
+    except (ImportError, ValueError):
+        return None
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,7 +15,6 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
 from importlib.metadata import packages_distributions
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +26,13 @@ from robot_runner.core.errors import Finding
 from robot_runner.core.storage.guarded_files import read_bytes
 from robot_runner.core.storage.input_files import copies_in
 from robot_runner.core.words import listed, one_line
-from robot_runner.replication.distributions import InstalledDistribution, canonical, closure, installed_distributions
+from robot_runner.replication.distributions import (
+    InstalledDistribution,
+    canonical,
+    closure,
+    installed_distributions,
+    spec_of,
+)
 
 _OUR_NAME = "robot-runner"
 #: A package with its version. Pip would execute more than that: `-e PATH` on a line of its own, in another's manifest.
@@ -139,7 +144,6 @@ class RecordedEnvironment:
             }
             for name, each in self.packages.items()
         }
-        known = {name: self.manifest.get(name) for name in ("robot", "ros", "host", "clocks")}
         return {
             "python": software.get("python"),
             "implementation": software.get("implementation"),
@@ -147,7 +151,7 @@ class RecordedEnvironment:
             "system": software.get("system"),
             "system_packages": software.get("system_packages"),
             "programs": self.manifest.get("programs"),
-            **known,
+            **{name: self.manifest.get(name) for name in ("robot", "ros", "host", "clocks")},
         }
 
 
@@ -283,10 +287,7 @@ def _editable_owners(module: str) -> list[str]:
 
 def place_of(module: str) -> Path | None:
     """Return the folder or the file of a top-level module, which is not imported; None if it is not found."""
-    try:
-        spec = find_spec(module)
-    except (ImportError, ValueError):
-        return None
+    spec = spec_of(module)
     places = [*(spec.submodule_search_locations or ()), spec.origin] if spec else []
     return next((Path(place) for place in places if place), None)
 
@@ -354,10 +355,7 @@ def _reached(module: str) -> set[str]:
 def _file_of(module: str) -> tuple[Path, str] | None:
     """Return the file and package of a module or, if the name is an object's, of its module; nothing is imported."""
     top, *rest = module.split(".")
-    try:
-        spec = find_spec(top)
-    except (ImportError, ValueError):
-        return None
+    spec = spec_of(top)
     for folder in spec.submodule_search_locations or () if spec else ():
         place, package = Path(folder), top
         for part in rest:

@@ -130,9 +130,8 @@ class _Explaining:
             ColumnRole.PROGRESS: self._progress_facts,
             ColumnRole.EXTRA: self._extra_facts,
         }[column.role](column)
-        return Explanation(
-            name, column.role.value, _plain(value), column.unit, tuple(fact for fact in facts if fact[1])
-        )
+        told = tuple(fact for fact in facts if fact[1])
+        return Explanation(name, column.role.value, _plain(value), column.unit, told)
 
     def _run_facts(self) -> Iterator[tuple[str, str]]:
         history = self._history
@@ -284,7 +283,9 @@ class _Explaining:
         if self._is_unrecorded:
             yield "Quality", "not known: the journal has no end of this run, and is missing or older than the run table"
         elif published or self._is_done:
-            yield "Quality", quality_text(self._row.get(column.name, published.get("value")), doubts)
+            value = self._row.get(column.name, published.get("value"))
+            is_told = self._imported is None or value is None or bool(doubts)
+            yield "Quality", quality_text(value, doubts) if is_told else "not known: it was imported without any"
         yield from self._owner_facts(owner, column.name)
         yield "Aggregation", column.description
         yield "Raw data", ", ".join(self._raw_files(owner))
@@ -308,9 +309,8 @@ class _Explaining:
             yield "From", "the config"
             yield "Config", self._lines.of_measure(measure)
             return
-        plugin: Mapping[str, Any] = next(
-            (each for each in self._manifest.get("plugins", ()) if each.get("name") == owner), {}
-        )
+        plugins = (each for each in self._manifest.get("plugins", ()) if each.get("name") == owner)
+        plugin: Mapping[str, Any] = next(plugins, {})
         kind = str(plugin.get("class", "")).rpartition(":")[2]
         package = f" ({plugin['package']} {plugin.get('version')})" if plugin.get("package") else ""
         named = f"{owner}, " if kind != owner and kind else ""
@@ -323,9 +323,7 @@ class _Explaining:
     def _raw_files(self, owner: str) -> Iterator[str]:
         run = self._files.run(self._run_id)
         folder = run if owner == CONFIG_OWNER and not (run / CONFIG_OWNER).is_dir() else run / owner
-        if not owner or not folder.is_dir():
-            return
-        for path in sorted(each for each in folder.rglob("*") if each.is_file()):
+        for path in sorted(each for each in folder.rglob("*") if each.is_file()) if owner else ():
             if folder == run and (path.parent != run or path == self._files.log(self._run_id)):
                 continue
             yield f"{path.relative_to(self._files.root).as_posix()} ({path.stat().st_size:,} bytes)"
@@ -386,7 +384,8 @@ class _Explaining:
         yield "From", f"Robot Runner: {column.description or 'how far the run has come'}"
 
     def _extra_facts(self, column: ColumnDescription) -> Iterator[tuple[str, str]]:
-        yield "From", f"a column that somebody added to {self._files.run_table.name} by hand"
+        came = "" if self._imported is None else f"{self._imported.get('table')}, which was imported, or "
+        yield "From", f"{came}a column that somebody added to {self._files.run_table.name} by hand"
         yield "Meaning", column.description
 
 

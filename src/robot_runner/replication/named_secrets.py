@@ -301,8 +301,7 @@ def _of_sentence(match: re.Match[bytes], name: str, start: int) -> Iterator[Foun
 
 
 def _judged(match: re.Match[bytes], group: str, name: str, begin: int) -> Iterator[Found]:
-    value = match[group]
-    if is_secret_value(value, name):
+    if is_secret_value(match[group], name):
         yield Found(*match.span(group), _WHAT, begin)
 
 

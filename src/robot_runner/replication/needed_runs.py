@@ -129,8 +129,7 @@ def _needed(each: Mapping[str, Any], alpha: float, shared: float, is_relative: b
         # With a relative bound, the second mean is tested against the first mean times (1 + bound).
         times = 1 + bound / abs(each["first_mean"]) if is_relative and each["first_mean"] else 1.0
         ways.append(runs_for_equivalence((first * times**2, second), difference, bound, alpha))
-    found = [way for way in ways if way is not None]
-    fewest = min(found, default=None)
+    fewest = min((way for way in ways if way is not None), default=None)
     return None if fewest is None else max(fewest, min(_units(each, side) for side in _SIDES) + 1)
 
 

@@ -143,8 +143,7 @@ def _write(package: OpenPackage, folder: Path, progress: Progress) -> None:
 def _refuse_other(package: OpenPackage, target: Path) -> None:
     """Refuse a folder with another package: one with other checksums of its files."""
     sums = target / SUMS
-    is_same = sums.is_file() and read_bytes(sums) == b"".join(package.blocks(SUMS))
-    if not is_same:
+    if not (sums.is_file() and read_bytes(sums) == b"".join(package.blocks(SUMS))):
         fix = "Name another folder with --to."
         raise PackageError("another package is unpacked here", where=str(target), fix=fix)
 

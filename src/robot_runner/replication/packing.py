@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shlex
 import zipfile
-from collections.abc import Callable, Collection, Container, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Container, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -20,7 +20,7 @@ from robot_runner.core.storage.lock import holder_of
 from robot_runner.core.storage.manifest import read_manifest
 from robot_runner.core.storage.run_table_reading import read_run_table
 from robot_runner.core.storage.run_table_rows import RunTableRows
-from robot_runner.core.storage.table_columns import ColumnDescription, TableLayout
+from robot_runner.core.storage.table_columns import TableLayout
 from robot_runner.core.storage.table_schema import read_schema
 from robot_runner.core.words import listed
 from robot_runner.replication.about import About, imported_facts, missing_text
@@ -96,7 +96,8 @@ def pack(
     files = ExperimentFolder.found_at(folder)
     manifest = read_manifest(files.manifest)
     _refuse(files, target)
-    rows, columns = _run_table(files)
+    columns = read_schema(files.schema)
+    rows = read_run_table(files.run_table, TableLayout.of_schema(columns))
     run_ids = [rows.run_id(place) for place in range(len(rows))]
     runs_folder = f"{files.runs_name}/" if files.runs_name else ""
     about = About.of_manifest(manifest, authors=asked.authors, licence=asked.licence, citation=asked.citation)
@@ -182,11 +183,6 @@ def _is_package(path: Path) -> bool:
             return DESCRIPTION in archive.namelist()
     except (OSError, zipfile.BadZipFile):
         return False
-
-
-def _run_table(files: ExperimentFolder) -> tuple[RunTableRows, Sequence[ColumnDescription]]:
-    columns = read_schema(files.schema)
-    return read_run_table(files.run_table, TableLayout.of_schema(columns)), columns
 
 
 def _known_secrets(files: ExperimentFolder, manifest: Mapping[str, Any]) -> set[str]:

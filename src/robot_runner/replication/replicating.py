@@ -140,9 +140,8 @@ def _environment(path: Path, manifest: Mapping[str, Any]) -> Mapping[str, Any]:
     }
     known = {name: manifest.get(name) for name in ("robot", "ros", "host", "programs")}
     found = {"python": software.get("python"), "packages": packages, "system": software.get("system"), **known}
-    PackageError.refuse(
-        shape_findings(str(path), "a manifest", found, Environment, "Ask its authors for the original.")
-    )
+    fix = "Ask its authors for the original."
+    PackageError.refuse(shape_findings(str(path), "a manifest", found, Environment, fix))
     return found
 
 
@@ -222,11 +221,8 @@ def _config(files: ExperimentFolder, manifest: Mapping[str, Any]) -> Path:
 
 def _refuse_redacted(settings: Mapping[str, str]) -> None:
     problem = "the value was replaced when the experiment was packed"
-    PackageError.refuse(
-        Finding.error(f"--set {name}", problem, f"Give yours: --set {name}=...")
-        for name, text in settings.items()
-        if REDACTED in text
-    )
+    replaced = (name for name, text in settings.items() if REDACTED in text)
+    PackageError.refuse(Finding.error(f"--set {name}", problem, f"Give yours: --set {name}=...") for name in replaced)
 
 
 def _facts(files: ExperimentFolder, manifest: Mapping[str, Any], deviations: Mapping[str, str]) -> dict[str, Any]:

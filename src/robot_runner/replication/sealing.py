@@ -124,12 +124,11 @@ class Sealing:
         for file in self.chosen.files:
             end = self._done + file.size
             if (blocks := self.cleaning.blocks_of(file)) is not None:
-                is_stored = looks_like_a_bomb(file.path, file.size)
                 self.archive.add(
                     file.name,
                     self._blocks(file, blocks),
                     size=file.size,
-                    is_stored=is_stored,
+                    is_stored=looks_like_a_bomb(file.path, file.size),
                     is_program=file.name in self.programs,
                 )
             self._advance(end - self._done)  # a replacement may be longer or shorter than the secret

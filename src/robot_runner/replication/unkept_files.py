@@ -54,8 +54,7 @@ def unkept_files(files: ExperimentFolder, stored: Iterable[str]) -> Iterator[Fin
         StorageError: a file of the config cannot be read.
     """
     known = {part for name in stored for part in PurePosixPath(name).parts}
-    copies = copies_in(files.config)
-    for path in sorted(set(files.config.rglob("*.py")) - copies):
+    for path in sorted(set(files.config.rglob("*.py")) - copies_in(files.config)):
         tree = tree_or_empty(read_text(path, files.root, errors="replace"))
         for line, name in sorted(_read_files(tree)):
             if PurePosixPath(name).name not in known:

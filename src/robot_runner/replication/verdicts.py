@@ -112,9 +112,7 @@ def why_not_primary(
     several; the operator's answers, which describe the circumstances; and measures that are `empty` in both
     experiments. If none remained, all are primary.
     """
-    measures = [
-        column for column in columns if column.role is ColumnRole.MEASURE and not column.name.endswith(QUALITY_SUFFIX)
-    ]
+    measures = [each for each in columns if each.role is ColumnRole.MEASURE and not each.name.endswith(QUALITY_SUFFIX)]
     plan = manifest.get("analysis") or {}
     planned = {column.name for column in measures if column.name in (plan.get("measures") or ())}
     is_simulated = str(manifest.get("robot") or "").startswith("simulated")
@@ -239,9 +237,8 @@ def _why_untested(name: str, comparison: Mapping[str, Any] | None) -> str:
             "no statistics were at hand to tell whether that matters (install the extra `analysis`, and repeat "
             "the command: no run is executed again)"
         )
-    differences = next(
-        (each["differences"] for each in comparison.get("measures", ()) if each["first_name"] == name), None
-    )
+    found = (each["differences"] for each in comparison.get("measures", ()) if each["first_name"] == name)
+    differences = next(found, None)
     if differences == []:
         return "no combination is compared that both have (of a search, only runs that confirm it are)"
     if any(each["second_mean"] is not None for each in differences or ()):
@@ -299,14 +296,10 @@ def _by_statistics(judged: _Judged, found: Mapping[str, Any]) -> tuple[Conclusio
     where = f" for {listed(concerned)}" if concerned and len(differences) > 1 else ""
     if conclusion is Conclusion.DIFFERENT:
         return conclusion, f"is different{where}{largest}; the bound was {within}."
-    alpha = _alpha(differences)
+    levels = [each["interval"]["level"] for each in differences if each.get("interval")]
+    alpha = 1 - levels[0] if levels else 0.05
     needed = needed_runs(differences, alpha, is_relative=judged.margin.text.strip().endswith("%"))
     return conclusion, f"could not be decided{where} within {within}{largest}: {needed}."
-
-
-def _alpha(differences: Sequence[Mapping[str, Any]]) -> float:
-    levels = [each["interval"]["level"] for each in differences if each.get("interval")]
-    return 1 - levels[0] if levels else 0.05
 
 
 def _combination(each: Mapping[str, Any]) -> str:

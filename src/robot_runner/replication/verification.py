@@ -157,9 +157,8 @@ def _description(package: OpenPackage) -> Mapping[str, Any]:
     where = f"{package.where}, {contents.DESCRIPTION}"
     if contents.DESCRIPTION not in package.sizes:
         fix = "Name a package; `robot-runner pack` makes one of an experiment's folder."
-        raise PackageError(
-            f"this is not a package: it has no {contents.DESCRIPTION}", where=str(package.where), fix=fix
-        )
+        problem = f"this is not a package: it has no {contents.DESCRIPTION}"
+        raise PackageError(problem, where=str(package.where), fix=fix)
     try:
         found = parsed_json(_text(package, contents.DESCRIPTION, JSON_LIMIT))
     except (ValueError, RecursionError) as error:
@@ -214,9 +213,8 @@ def _differing_names(package: OpenPackage, sums: Mapping[str, str]) -> Iterator[
     for name in sorted(set(sums) - set(package.sizes)):
         yield Finding.error(f"{package.where}, {name}", "the file is missing", _ALTERED)
     for name in sorted(set(package.sizes) - set(sums) - {contents.SUMS}):
-        yield Finding.error(
-            f"{package.where}, {name}", "the file is not part of the package", "Remove it, or get the package again."
-        )
+        problem = "the file is not part of the package"
+        yield Finding.error(f"{package.where}, {name}", problem, "Remove it, or get the package again.")
 
 
 def _differing_contents(package: OpenPackage, sums: Mapping[str, str], progress: Progress) -> Iterator[Finding]:

@@ -132,7 +132,6 @@ def compare_with(program: Path, original: Path, replication: Path, bounds: Seque
 
 
 def _make(folder: Path, python: str, asked: Sequence[str], fix: str) -> None:
-    """Make a virtual environment, and install the requested packages by pip."""
     log = folder.with_name(f"{folder.name}.log")
     # Our own pip can install into other environments, and installing pip into each is the slowest step. But the other
     # environment's Python executes it, and pip fails if that Python is too new for it (Debian 12's pip 23.0 on 3.12).

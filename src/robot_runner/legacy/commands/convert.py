@@ -95,9 +95,8 @@ def _folder_and_name(out: str | None, configs: list[str]) -> tuple[Path | None, 
         place.mkdir(parents=True, exist_ok=True)
         return place, ""
     if place.suffix != ".py":
-        raise UsageError(
-            "a config is a Python file", where=str(place), fix=f"Name it {place.name}.py; a folder, {place.name}/."
-        )
+        fix = f"Name it {place.name}.py; a folder, {place.name}/."
+        raise UsageError("a config is a Python file", where=str(place), fix=fix)
     if not is_one:
         raise UsageError("several configs cannot become one file", where=str(place), fix="Name a folder: --out FOLDER")
     return place.parent, place.name
@@ -181,36 +180,27 @@ def _differences(before: Experiment, after: Experiment) -> Iterator[Finding]:
     old, new = _runs(before), _runs(after)
     if not before.model.factors and [factor.name for factor in after.model.factors] == [ONLY_FACTOR]:
         old = [((ONLY_FACTOR, str(after.model.factors[0].treatments[0])),)] * len(old)
-        yield Finding.warning(
-            "run table",
-            f"nothing is varied, so there is a factor {ONLY_FACTOR!r} with one treatment",
-            "Name what you will compare it with.",
-        )
+        problem = f"nothing is varied, so there is a factor {ONLY_FACTOR!r} with one treatment"
+        yield Finding.warning("run table", problem, "Name what you will compare it with.")
     for more, fewer, change in ((old, new, "less"), (new, old, "more")):
         for run, count in (Counter(more) - Counter(fewer)).items():
             shown = ", ".join(f"{name}={value}" for name, value in run)
-            yield Finding.error(
-                "run table", f"{shown} is planned {count} times {change} than before", "Correct it by hand."
-            )
-    is_random = before.model.shuffle or after.model.shuffle
-    if Counter(old) == Counter(new) and old != new and not is_random:
+            problem = f"{shown} is planned {count} times {change} than before"
+            yield Finding.error("run table", problem, "Correct it by hand.")
+    if Counter(old) == Counter(new) and old != new and not (before.model.shuffle or after.model.shuffle):
         yield Finding.error("run table", "the order of the runs is another", "Correct it by hand.")
     if before.model.shuffle and before.model.seed_is_given and old != new:
         seed = before.model.seed
-        yield Finding.warning(
-            "run table",
-            f"random.seed({seed}) does not decide the order of the runs any more",
+        fix = (
             f"Write RunTableModel(..., seed={seed}) for an order that comes again each time; it is another one than "
-            "before.",
+            "before."
         )
+        yield Finding.warning("run table", f"random.seed({seed}) does not decide the order of the runs any more", fix)
     names = after.columns.names
     lost = {name for name in before.columns.names if name not in names and not is_told_as_of_codecarbon(name, names)}
     if lost:
-        yield Finding.warning(
-            "run table",
-            f"there is no column {', '.join(map(repr, sorted(lost)))} any more",
-            "Add it to data_columns, unless a plugin has it under another name.",
-        )
+        fix = "Add it to data_columns, unless a plugin has it under another name."
+        yield Finding.warning("run table", f"there is no column {', '.join(map(repr, sorted(lost)))} any more", fix)
 
 
 def _runs(experiment: Experiment) -> list[Run]:
@@ -235,11 +225,9 @@ def _left_behind(conversion: Conversion, written: Path) -> Iterator[Finding]:
     ]
     for name in dict.fromkeys(each.relative_to(old).parts[0] for each in kept):
         if not (new / name).exists():
-            yield Finding.error(
-                str(written),
-                f"it imports {name}, which stands beside the old file and not beside this one",
-                f"Copy {old / name} to {new}, or convert beside the old file: leave --out out.",
-            )
+            problem = f"it imports {name}, which stands beside the old file and not beside this one"
+            fix = f"Copy {old / name} to {new}, or convert beside the old file: leave --out out."
+            yield Finding.error(str(written), problem, fix)
 
 
 def _heard_otherwise(before: Experiment, after: Experiment) -> Iterator[Finding]:

@@ -158,11 +158,9 @@ def taken_over(where: str, config: ast.ClassDef, names: CallbackNames, inherited
     for name, callback in names.renamed.items():
         before = {old for old, now in inherited.methods.items() if now == callback}
         if name not in inherited.methods and before & called:
-            yield Finding.error(
-                where,
-                f"{name} is subscribed in the place of {', '.join(sorted(before))}, which this class calls",
-                "Override that one, and call it by super() there; then convert the file.",
-            )
+            problem = f"{name} is subscribed in the place of {', '.join(sorted(before))}, which this class calls"
+            fix = "Override that one, and call it by super() there; then convert the file."
+            yield Finding.error(where, problem, fix)
 
 
 def convert_rows_of_before_run(config: ast.ClassDef, session: Session, edits: Edits) -> None:
@@ -202,11 +200,8 @@ def order_findings(session: Session) -> Iterator[Finding]:
     heard = {each.event for each in session.subscriptions}
     is_robot_runner = session.recognised.dialect.class_name == "RobotRunnerConfig"
     if is_robot_runner and {RobotRunnerEvents.STOP_RUN, RobotRunnerEvents.POPULATE_RUN_DATA} <= heard:
-        yield Finding.warning(
-            session.path.name,
-            "populate_run_data is called after stop_run now; Robot Runner called it before",
-            "See that stop_run leaves what populate_run_data reads.",
-        )
+        problem = "populate_run_data is called after stop_run now; Robot Runner called it before"
+        yield Finding.warning(session.path.name, problem, "See that stop_run leaves what populate_run_data reads.")
 
 
 def _methods(config: ast.ClassDef) -> Iterator[ast.FunctionDef]:

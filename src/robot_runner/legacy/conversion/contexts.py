@@ -47,7 +47,6 @@ def convert_contexts(converted: ConvertedFile, session: Session, columns: Collec
 
 
 def _is_context(argument: ast.arg, tree: ast.Module) -> bool:
-    """Return whether a parameter is a context by its name or its annotation."""
     classes = _CLASSES | {each.bound_as for each in imports_of(tree) if each.name in _CLASSES}
     named = [] if argument.annotation is None else list(ast.walk(argument.annotation))
     return argument.arg == "context" or any(
@@ -118,11 +117,9 @@ def _left(converted: ConvertedFile, contexts: Collection[str]) -> Iterator[Findi
     own |= {name for each in classes_of(tree).values() for name in bound_names(each.body)}
     for node in nodes(tree, ast.Attribute):
         if node.attr in _NAMES_HERE.keys() - own and ast.unparse(node.value) not in contexts:
-            yield Finding.warning(
-                f"{converted.path}:{node.lineno}",
-                f"{ast.unparse(node)} is left as it is: whether that is a context cannot be seen",
-                f"If it is, write {_NAMES_HERE[node.attr]}.",
-            )
+            problem = f"{ast.unparse(node)} is left as it is: whether that is a context cannot be seen"
+            fix = f"If it is, write {_NAMES_HERE[node.attr]}."
+            yield Finding.warning(f"{converted.path}:{node.lineno}", problem, fix)
 
 
 @dataclass(slots=True)
@@ -165,10 +162,8 @@ class _Function:
                 case ast.Attribute(value=owner) if self._is_context(owner):
                     yield from self._convert_attribute(node, ast.unparse(owner))
                 case ast.Return(value=ast.Name(id=name)) if name in self._rows:
-                    combination = f"{self._rows[name]}.combination"
-                    self._file.edits.replace(
-                        node, f"return {{name: value for name, value in {name}.items() if name not in {combination}}}"
-                    )
+                    others = f"for name, value in {name}.items() if name not in {self._rows[name]}.combination"
+                    self._file.edits.replace(node, f"return {{name: value {others}}}")
 
     def _convert_attribute(self, node: ast.Attribute, context: str) -> Iterator[Finding]:
         if node.attr in self._moved:
@@ -192,9 +187,8 @@ class _Function:
                 self._file.edits.insert(self._file.edits.end_of(node.value), ")")
             case ast.Constant(value=str(key)) if key in self._columns and ast.unparse(row) not in self._returned:
                 # The variable is a copy of the row, which is read as before.
-                self._file.edits.insert(
-                    self._file.edits.end_of(node), f"; {context}.publish({key!r}, {ast.unparse(cell)})"
-                )
+                published = f"; {context}.publish({key!r}, {ast.unparse(cell)})"
+                self._file.edits.insert(self._file.edits.end_of(node), published)
             case _ if self._is_row(row):
                 yield self._lacking(node, "this writes into the row of the run table, in none of the data columns")
 

@@ -60,11 +60,9 @@ def check_neighbours(experiment: Experiment, tree: ast.Module, written: Collecti
     for module in sorted(each for each in modules if not {each, each.name} & set(written)):
         found = earlier_import_in(module)
         if found is not None:
-            yield Finding.error(
-                f"{module}:{found.line}",
-                f"the config imports this module, which imports {found.module} of the earlier tool",
-                "Write this line with robot_runner, or put what is needed into the config.",
-            )
+            problem = f"the config imports this module, which imports {found.module} of the earlier tool"
+            fix = "Write this line with robot_runner, or put what is needed into the config."
+            yield Finding.error(f"{module}:{found.line}", problem, fix)
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,12 +144,10 @@ class _Chain:
             name_whole_modules(tree, base_class)
             self._convert_base(Recognised(dialect, file, text, tree), base_class, set(bases))
         text = self._convert(self._recognised, config_class, self._experiment, set(bases)).text
-        if any(finding.is_error for finding in self._findings):
-            raise ConfigError.of_findings([finding for finding in self._findings if finding.is_error])
+        ConfigError.refuse(finding for finding in self._findings if finding.is_error)
         said = tuple(dict.fromkeys([*self._findings, *findings]))
-        return Conversion(
-            text, self._experiment, said, self._beside, self._texts, frozenset({self._recognised.path, *bases})
-        )
+        originals = frozenset({self._recognised.path, *bases})
+        return Conversion(text, self._experiment, said, self._beside, self._texts, originals)
 
     def _convert_base(self, recognised: Recognised, base_class: type, bases: set[Path]) -> None:
         file = recognised.path
@@ -218,11 +214,8 @@ class _Converting:
         self.file = ConvertedFile(recognised.path, recognised.tree, self._edits)
         config = classes_of(self._tree).get(class_name)
         if config is None:
-            raise ConfigError(
-                f"the class {class_name} is not in this file",
-                where=str(recognised.path),
-                fix="Convert the file that has it.",
-            )
+            fix = "Convert the file that has it."
+            raise ConfigError(f"the class {class_name} is not in this file", where=str(recognised.path), fix=fix)
         self.config = config
         self.class_name = CONFIG_CLASS if class_name == recognised.dialect.class_name else class_name
         self._callbacks = named_callbacks(session, config, inherited)
@@ -256,22 +249,19 @@ class _Converting:
         write_values_as_text(config, self._session, self._edits)
         convert_continue(config, callbacks, self._inherited, self._edits)
         leave_unheard(config, callbacks, self._inherited, self._edits)
-        columns = self._experiment.columns.names
-        self.file.findings += convert_contexts(self.file, self._session, columns)
+        self.file.findings += convert_contexts(self.file, self._session, self._experiment.columns.names)
         self._rename_members(config)
         convert_run_tables(self._session, self.file)
         convert_names(self.file)
         convert_lists_of_callbacks(config, self._edits)
-        results = self._experiment.parameters.results_output_path
-        convert_parameters(config, results, self._own, self._edits)
+        convert_parameters(config, self._experiment.parameters.results_output_path, self._own, self._edits)
         self.text = self.file.text_with_imports(lines)
 
     def _rename_class(self, config: ast.ClassDef) -> None:
         start = self._edits.find("class", self._edits.line_start(config.lineno))
         arguments = [*config.bases, *config.keywords]
         header_end = self._edits.find(":", max([start, *(self._edits.end_of(each) for each in arguments)]))
-        own = [self._edits.edited(each) for each in arguments]
-        parents = [self.file.names.get(each, each) for each in own]
+        parents = [self.file.names.get(each, each) for each in map(self._edits.edited, arguments)]
         parents = [each for each in parents if each != "ExperimentConfig"]
         if not self._inherited.files:  # else the base files derive from it
             parents.insert(0, "ExperimentConfig")
@@ -305,8 +295,5 @@ class _Converting:
 def _left_out(session: Session) -> Iterator[Finding]:
     with active_session(session):
         if any(node.id == "self_measure" for node in nodes(session.recognised.tree, ast.Name)):
-            yield Finding.warning(
-                session.path.name,
-                "self_measure means nothing here",
-                "List EnergiBridge() in `plugins` (robot_runner.plugins.profilers).",
-            )
+            fix = "List EnergiBridge() in `plugins` (robot_runner.plugins.profilers)."
+            yield Finding.warning(session.path.name, "self_measure means nothing here", fix)

@@ -239,8 +239,8 @@ def _without_counterpart(module: str, name: str) -> tuple[str, str]:
 def _take_profiler(converted: ConvertedFile, line: int, module: str, name: str, bound: str) -> None:
     plugin = plugin_of(f"{module}.{name}")
     ours = plugin.ours if plugin is not None else ""
-    attribute = MODULES.get(module, {}).get(name, "").partition(":")[2]
-    if not _is_kept(module, name):
+    home, _, attribute = MODULES.get(module, {}).get(name, "").partition(":")
+    if home.rpartition(".")[2] not in _KEPT_HOMES:  # which work without the tool
         instead = f"List our {ours} in `plugins` instead." if ours else "Measure by hand."
         converted.refuse(line, f"{name} cannot be used outside a config of the earlier tool", instead)
         return
@@ -250,8 +250,3 @@ def _take_profiler(converted: ConvertedFile, line: int, module: str, name: str, 
         problem = f"{name} is kept as it was, with its own calls"
         fix = f"List our {ours} in `plugins` instead: it starts, stops and publishes by itself."
         converted.findings.append(Finding.warning(f"{converted.path}:{line}", problem, fix))
-
-
-def _is_kept(module: str, name: str) -> bool:
-    """Whether `robot_runner.plugins.earlier` has a name of an earlier tool's module, as it works without the tool."""
-    return MODULES.get(module, {}).get(name, "").partition(":")[0].rpartition(".")[2] in _KEPT_HOMES

@@ -12,6 +12,7 @@ from robot_runner.core.errors import Finding
 from robot_runner.core.events.manager import RobotRunnerEvents
 from robot_runner.legacy.conversion.earlier_imports import ConvertedFile
 from robot_runner.legacy.earlier_exclusions import EarlierFactor, NamedExclusion, named_exclusions
+from robot_runner.legacy.lifting import EARLIER_NAMES
 from robot_runner.legacy.run_tables import PROGRESS, named_columns
 from robot_runner.legacy.session import Session
 from robot_runner.legacy.syntax import Edits, attributes_of, bound_names, nodes, walk_bodies
@@ -24,21 +25,13 @@ _PATH_PROPERTY = '''
 
 
 #: Members that mean something to us, and meant nothing to the earlier tools.
-_OF_OURS = frozenset({*PARAMETERS, "duration_s", "input_files", "plugins"}) - {
-    "experiment_name",
-    "operation_type",
-    "required_ros_distro",
-    "required_ros_version",
-    "results_output_path",
-    "time_between_runs_in_ms",
-}
+_OF_OURS = frozenset({*PARAMETERS, "duration_s", "input_files", "plugins"}) - EARLIER_NAMES.keys()
 
 
 def own_members(config: ast.ClassDef) -> dict[str, str]:
     """Return new names for members of a config class that are called like a parameter of ours by chance."""
-    used = {node.attr for _, node in attributes_of(config, {"self", "cls", config.name})} | set(
-        bound_names(config.body)
-    )
+    used = {*bound_names(config.body)}
+    used |= {node.attr for _, node in attributes_of(config, {"self", "cls", config.name})}
     renamed = {}
     for name in sorted(used & _OF_OURS):
         renamed[name] = f"_{name}"  # other names that are like ours would be taken for slips of the pen

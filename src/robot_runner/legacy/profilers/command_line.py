@@ -19,6 +19,7 @@ from robot_runner.legacy.profilers.programs import Table, read_table
 from robot_runner.legacy.session import warn_of_run
 from robot_runner.meters.command_meters import parse_energibridge
 
+_FORMATS = {"TEXT": "text", "PLIST": "plist"}
 _ORDERS = {"PID": "pid", "WAKEUP": "wakeups", "CPU": "cputime", "HYBRID": "composite"}
 _SAMPLERS = {
     "TASKS": "tasks",
@@ -42,10 +43,10 @@ def _choices(name: str, prefix: str, values: Mapping[str, str]) -> Any:
     return StrEnum(name, {f"{prefix}{key}": value for key, value in values.items()})
 
 
-PMFormatTypes = _choices("PMFormatTypes", "PM_FMT_", {"TEXT": "text", "PLIST": "plist"})
+PMFormatTypes = _choices("PMFormatTypes", "PM_FMT_", _FORMATS)
 PMOrderTypes = _choices("PMOrderTypes", "PM_ORDER_", _ORDERS)
 PMSampleTypes = _choices("PMSampleTypes", "PM_SAMPLE_", _SAMPLERS)
-PLFormatTypes = _choices("PLFormatTypes", "PL_FMT_", {"TEXT": "text", "PLIST": "plist"})
+PLFormatTypes = _choices("PLFormatTypes", "PL_FMT_", _FORMATS)
 PLOrderTypes = _choices("PLOrderTypes", "PL_ORDER_", _ORDERS)
 
 _KINDS = {"": None, "str": str, "int": int, "list": list}

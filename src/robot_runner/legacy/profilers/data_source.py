@@ -158,19 +158,15 @@ class CLISource(DataSource):
         super()._validate_platform()
         name = str(self.source_name)
         if name and shutil.which(name) is None and not access(name, X_OK):
-            raise PluginError(
-                f"the program {name} is not there", where=type(self).__name__, fix=f"Install {name}, or name its path."
-            )
+            fix = f"Install {name}, or name its path."
+            raise PluginError(f"the program {name} is not there", where=type(self).__name__, fix=fix)
 
     def _validate_parameters(self, parameters: Mapping[str, Any]) -> None:
         spellings = [spelling for known in self.parameters for spelling in known]
         for name in parameters:
             if name not in self.parameters:
-                raise PluginError(
-                    f"{self.source_name} has no parameter {name!r}",
-                    where=type(self).__name__,
-                    fix=did_you_mean(name, spellings),
-                )
+                fix = did_you_mean(name, spellings)
+                raise PluginError(f"{self.source_name} has no parameter {name!r}", where=type(self).__name__, fix=fix)
 
     def _format_cmd(self) -> str:
         """Return the command line, which derived profilers may extend."""

@@ -152,11 +152,9 @@ def _with_columns(names: Iterable[str], method: Method) -> Method:
         made = method(self)
         model = getattr(self, "run_table_model", None)
         if model is None:
-            raise PluginError(
-                "the config keeps no run-table model, to which columns could be added",
-                where="CodecarbonWrapper",
-                fix="Write self.run_table_model = RunTableModel(...).",
-            )
+            problem = "the config keeps no run-table model, to which columns could be added"
+            fix = "Write self.run_table_model = RunTableModel(...)."
+            raise PluginError(problem, where="CodecarbonWrapper", fix=fix)
         columns = model.get_data_columns()
         columns += [name for name in names if name not in columns]
         return model.generate_experiment_run_table() if isinstance(made, list) else model

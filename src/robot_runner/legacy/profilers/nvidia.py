@@ -36,9 +36,8 @@ def library() -> Any:
     try:
         return import_module("pynvml")
     except ModuleNotFoundError as error:
-        raise PluginError(
-            "NvidiaML needs nvidia-ml-py", where="NvidiaML", fix="Install it: pip install 'robot-runner[nvml]'."
-        ) from error
+        fix = "Install it: pip install 'robot-runner[nvml]'."
+        raise PluginError("NvidiaML needs nvidia-ml-py", where="NvidiaML", fix=fix) from error
 
 
 class NVML_Query(Enum):  # noqa: N801 - the name that configs import
@@ -175,11 +174,8 @@ class NvidiaML(DeviceSource):
             try:
                 getattr(library(), f"nvmlDeviceSet{name}")(self.device_handle, *plain)
             except (AttributeError, library().NVMLError) as error:
-                raise PluginError(
-                    f"the GPU refuses {name} = {plain}: {error}",
-                    where="NvidiaML",
-                    fix="Leave the setting out, or execute the experiment as root.",
-                ) from error
+                fix = "Leave the setting out, or execute the experiment as root."
+                raise PluginError(f"the GPU refuses {name} = {plain}: {error}", where="NvidiaML", fix=fix) from error
 
     def measure(self) -> dict[str, Any]:
         """Return one reading: the time (microseconds since 1970) and the value of each measurement."""
@@ -230,9 +226,8 @@ class NvidiaML(DeviceSource):
         try:
             return getattr(library(), f"nvmlDeviceGetHandleBy{by}")(int(dev_id) if by == "Index" else str(dev_id))
         except library().NVMLError as error:
-            raise PluginError(
-                f"there is no GPU with {by.lower()} {dev_id!r}: {error}", where="NvidiaML", fix="See `nvidia-smi -L`."
-            ) from error
+            problem = f"there is no GPU with {by.lower()} {dev_id!r}: {error}"
+            raise PluginError(problem, where="NvidiaML", fix="See `nvidia-smi -L`.") from error
 
     def _ask(self, handle: Any, name: str) -> Any:
         """Return the answer to a query, which may be an error of the library."""

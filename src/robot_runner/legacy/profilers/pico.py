@@ -96,11 +96,8 @@ class PicoCM3:
         """
         settings = self.channel_settings
         if set(settings) != set(range(1, _CHANNELS + 1)) or not set(settings.values()) <= set(_SCALES):
-            raise PluginError(
-                f"the channels' settings are {settings}",
-                where="PicoCM3",
-                fix="Give each of the channels 1 to 3 one of CM3DataTypes.",
-            )
+            fix = "Give each of the channels 1 to 3 one of CM3DataTypes."
+            raise PluginError(f"the channels' settings are {settings}", where="PicoCM3", fix=fix)
         for channel, setting in settings.items():
             _call("PLCM3SetChannel", self.handle, ctypes.c_uint32(channel), ctypes.c_uint32(setting))
         _call("PLCM3SetMains", self.handle, ctypes.c_uint16(self.mains_setting))
@@ -160,11 +157,8 @@ class PicoCM3:
 def _library() -> Any:
     name = ctypes.util.find_library("plcm3")
     if name is None:
-        raise PluginError(
-            "the library plcm3 of PicoLog is not installed",
-            where="PicoCM3",
-            fix="Install Pico Technology's drivers, or put them on LD_LIBRARY_PATH.",
-        )
+        fix = "Install Pico Technology's drivers, or put them on LD_LIBRARY_PATH."
+        raise PluginError("the library plcm3 of PicoLog is not installed", where="PicoCM3", fix=fix)
     return ctypes.CDLL(name)
 
 
@@ -174,6 +168,5 @@ def _call(function: str, *arguments: Any) -> None:
 
 def _check(function: str, status: int) -> None:
     if status:
-        raise LinkError(
-            f"{function} answered with status {status:#x}", where="PicoCM3", fix="Look at the device and its cable."
-        )
+        fix = "Look at the device and its cable."
+        raise LinkError(f"{function} answered with status {status:#x}", where="PicoCM3", fix=fix)

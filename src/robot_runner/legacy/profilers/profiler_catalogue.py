@@ -91,6 +91,10 @@ _OF_CODECARBON = (
     "DataColumns emission_tracker start_emission_tracker stop_emission_tracker add_data_columns populate_data_columns "
     "add_co2_data_column populate_co2_data"
 )
+_OF_TURTLEBOT3 = (
+    "movement.MovementController movement.RotationDirection recording.MetricsRecorder sensors.BatterySensor "
+    "sensors.CPUSensor sensors.CameraSensor sensors.OdomSensor sensors.RAMSensor utilties.Utilities"
+)
 
 PLUGINS: tuple[EarlierPlugin, ...] = (
     EarlierPlugin(
@@ -191,17 +195,7 @@ PLUGINS: tuple[EarlierPlugin, ...] = (
     # Modules without a stand-in.
     *(
         EarlierPlugin((f"Plugins.Systems.TurtleBot3.modules.{module}",), ours="BasicTurtlebot3", note=_ROS)
-        for module in (
-            "movement.MovementController",
-            "movement.RotationDirection",
-            "recording.MetricsRecorder",
-            "sensors.BatterySensor",
-            "sensors.CPUSensor",
-            "sensors.CameraSensor",
-            "sensors.OdomSensor",
-            "sensors.RAMSensor",
-            "utilties.Utilities",
-        )
+        for module in _OF_TURTLEBOT3.split()
     ),
     EarlierPlugin(("Plugins.Profilers.picosdk",), note="PicoCM3 calls the library of its maker without these modules."),
     EarlierPlugin(

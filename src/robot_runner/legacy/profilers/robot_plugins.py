@@ -39,11 +39,8 @@ class INA219Profiler:
         deadline = time.monotonic() + _PATIENCE_S
         while not self.path_to_data_file.is_file():
             if time.monotonic() > deadline:
-                raise LinkError(
-                    f"there is no file {self.path_to_data_file} after {_PATIENCE_S:g} s",
-                    where="INA219Profiler",
-                    fix="Insert the memory card, or correct the path.",
-                )
+                problem = f"there is no file {self.path_to_data_file} after {_PATIENCE_S:g} s"
+                raise LinkError(problem, where="INA219Profiler", fix="Insert the memory card, or correct the path.")
             time.sleep(_LOOK_S)
         with self.path_to_data_file.open(encoding="utf-8", newline="") as file:
             return list(csv.reader(file))
@@ -54,10 +51,8 @@ class INA219Profiler:
         for other in sorted(copy.parent.parent.glob(f"*/{file_name}")):
             if other != copy and other.is_file() and filecmp.cmp(other, copy, shallow=False):
                 problem = f"{self.path_to_data_file} holds what it held in {other.parent.name}"
-                warn_of_run(
-                    f"{problem}: the energy of this run may not be in it",
-                    fix="Read the card again after each run, and delete its file.",
-                )
+                fix = "Read the card again after each run, and delete its file."
+                warn_of_run(f"{problem}: the energy of this run may not be in it", fix=fix)
 
 
 class NetworkProfiler:
@@ -67,12 +62,7 @@ class NetworkProfiler:
         self._capture: Program | None = None
 
     def start_sniffing_to_file_between_robot_and_remotepc(
-        self,
-        context: Any,
-        network_interface: str,
-        robot_ip_addr: str,
-        remotepc_ip_addr: str,
-        output_file_name: str,
+        self, context: Any, network_interface: str, robot_ip_addr: str, remotepc_ip_addr: str, output_file_name: str
     ) -> None:
         """Capture the packets between two addresses.
 
@@ -91,10 +81,8 @@ class NetworkProfiler:
             LinkError: tshark cannot be started.
         """
         self._start(context, network_interface, output_file_name, [])
-        warn_of_run(
-            f"every packet is in {output_file_name}: tshark takes no display filter while it writes a file",
-            fix=f"Read it with tshark -r {output_file_name} -Y {display_filter!r}.",
-        )
+        problem = f"every packet is in {output_file_name}: tshark takes no display filter while it writes a file"
+        warn_of_run(problem, fix=f"Read it with tshark -r {output_file_name} -Y {display_filter!r}.")
 
     def stop_sniffing(self) -> None:
         """Stop the capture."""
@@ -201,9 +189,8 @@ class BasicTurtleBot3:
         utilisation.stop_run(_run())
         self._subscription.close()
         if not self._battery:
-            warn_of_run(
-                "nothing was heard of the battery: its level is nan", fix="See that battery_state is published."
-            )
+            fix = "See that battery_state is published."
+            warn_of_run("nothing was heard of the battery: its level is nan", fix=fix)
         lines = [
             f"{cpu},{memory},{self._level_at(float(time_s))}\n"
             for time_s, cpu, memory in _samples(_run().raw_data_folder / "samples.csv")

@@ -97,23 +97,17 @@ def _subscribe(event: Any, callback: Any, place: CodeType) -> None:
     events = RunnerEvents if session.recognised.dialect.class_name == "RunnerConfig" else RobotRunnerEvents
     if not isinstance(event, RobotRunnerEvents | RunnerEvents):
         name = getattr(event, "name", None) or str(event)
-        raise ConfigError(
-            f"{event!r} is not an event", where=events.__name__, fix=did_you_mean(name, events.__members__)
-        )
+        fix = did_you_mean(name, events.__members__)
+        raise ConfigError(f"{event!r} is not an event", where=events.__name__, fix=fix)
     callbacks = list(callback) if isinstance(callback, list | tuple) else [callback]
     for each in callbacks:
         if not callable(each):
-            raise ConfigError(
-                f"the callback of {event.name} is {each!r}, which cannot be called",
-                where="EventSubscriptionController",
-                fix=f"Give a method such as self.{event.name.lower()}.",
-            )
+            problem = f"the callback of {event.name} is {each!r}, which cannot be called"
+            fix = f"Give a method such as self.{event.name.lower()}."
+            raise ConfigError(problem, where="EventSubscriptionController", fix=fix)
     if event.name == VALIDATE:
-        session.warn(
-            VALIDATE,
-            "this event is a fork's own: its callback is called at before_experiment",
-            "Call it in before_experiment, to be sure of the order.",
-        )
+        problem = "this event is a fork's own: its callback is called at before_experiment"
+        session.warn(VALIDATE, problem, "Call it in before_experiment, to be sure of the order.")
     _make_room(session, event, callbacks, place)
     heard = [each.callback for each in _subscribed(session, own_event(event.name))]
     subscribed = [
@@ -134,12 +128,11 @@ def _make_room(session: Session, event: Any, callbacks: list[Any], place: CodeTy
         if each.place is not place:
             session.subscriptions.remove(each)
         else:
-            session.warn(
-                "EventSubscriptionController",
+            problem = (
                 f"two callbacks subscribe to {event.name}: {_named(each.callback)} and "
-                f"{', '.join(map(_named, callbacks))}; the earlier tools called the last alone, now both are called",
-                "Subscribe one of them only, if that was not meant.",
+                f"{', '.join(map(_named, callbacks))}; the earlier tools called the last alone, now both are called"
             )
+            session.warn("EventSubscriptionController", problem, "Subscribe one of them only, if that was not meant.")
 
 
 def _subscribed(session: Session, event: OwnEvents) -> list[EarlierSubscription]:
@@ -155,11 +148,9 @@ def _named(callback: Any) -> str:
 
 
 def _no_pair(subscription: Any) -> ConfigError:
-    return ConfigError(
-        f"{subscription!r} is not a pair of an event and a callback",
-        where="EventSubscriptionController.subscribe_to_multiple_events",
-        fix="Write a list of pairs such as (RunnerEvents.START_RUN, self.start_run).",
-    )
+    problem = f"{subscription!r} is not a pair of an event and a callback"
+    fix = "Write a list of pairs such as (RunnerEvents.START_RUN, self.start_run)."
+    return ConfigError(problem, where="EventSubscriptionController.subscribe_to_multiple_events", fix=fix)
 
 
 #: `execute_run` is the later name of `run_variation`.
@@ -229,9 +220,8 @@ class _Config:
 
     def __init__(self) -> None:
         names = [(event, event.name.lower()) for event in self._events if "CONTINUE" not in event.name]
-        EventSubscriptionController.subscribe_to_multiple_events(
-            [(event, getattr(self, name)) for event, name in names if hasattr(self, name)]
-        )
+        callbacks = [(event, getattr(self, name)) for event, name in names if hasattr(self, name)]
+        EventSubscriptionController.subscribe_to_multiple_events(callbacks)
 
 
 class RobotRunnerConfig(_Config):

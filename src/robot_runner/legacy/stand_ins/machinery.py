@@ -35,32 +35,20 @@ ERRORS = {
     "ProgressErrors": "ProgressBaseError AllRunsCompletedOnRestartError",
 }
 #: Classes that validated configs and executed experiments: they can be imported, but not used.
-_REFUSED = (
-    "CLIRegister",
-    "ConfigCreate",
-    "ConfigValidator",
-    "ExperimentController",
-    "Help",
-    "IRunController",
-    "Prepare",
-    "RunController",
-)
+_REFUSED = "CLIRegister ConfigCreate ConfigValidator ExperimentController Help IRunController Prepare RunController"
 
 
 class _Machinery:
     def __init__(self, *_: object, **__: object) -> None:
         name = type(self).__name__
-        raise ConfigError(
-            f"{name} belonged to the earlier tool itself: Robot Runner executes the experiment in its own way",
-            where=name,
-            fix=f"Leave {name} out, and start the file with `robot-runner run`.",
-        )
+        problem = f"{name} belonged to the earlier tool itself: Robot Runner executes the experiment in its own way"
+        raise ConfigError(problem, where=name, fix=f"Leave {name} out, and start the file with `robot-runner run`.")
 
 
 @cache
 def __getattr__(name: str) -> type:
     """Return a class with only a name and a base class."""
-    if name in _REFUSED:
+    if name in _REFUSED.split():
         return type(name, (_Machinery,), {"__module__": __name__})
     for names in map(str.split, ERRORS.values()):
         if name in names:
@@ -180,10 +168,7 @@ def processify(function: Function) -> Function:
 def is_path_exists_or_creatable_portable(pathname: str) -> bool:
     """Return whether a path exists or can be created."""
     path = Path(pathname).expanduser().absolute()
-    if path.exists():
-        return True
-    parent = next(each for each in path.parents if each.exists())
-    return os.access(parent, os.W_OK)
+    return path.exists() or os.access(next(each for each in path.parents if each.exists()), os.W_OK)
 
 
 class BaseOutputManager:
@@ -218,11 +203,8 @@ class CSVOutputManager(BaseOutputManager):
         Raises:
             StorageError: always.
         """
-        raise StorageError(
-            "a config cannot write the run table: it has one writer",
-            where="CSVOutputManager",
-            fix="Return the values from populate_run_data.",
-        )
+        fix = "Return the values from populate_run_data."
+        raise StorageError("a config cannot write the run table: it has one writer", where="CSVOutputManager", fix=fix)
 
     read_run_table_from_csv = read_run_table
     write_run_table_to_csv = write_run_table

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import random
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
@@ -34,11 +35,8 @@ class FactorModel:
 
     def __init__(self, factor_name: str, treatments: Iterable[Any]) -> None:
         if isinstance(treatments, str | bytes | Mapping) or not isinstance(treatments, Iterable):
-            raise ConfigError(
-                f"the treatments are {treatments!r}, of type {type(treatments).__name__}",
-                where=f"FactorModel {factor_name!r}",
-                fix="Give a list.",
-            )
+            problem = f"the treatments are {treatments!r}, of type {type(treatments).__name__}"
+            raise ConfigError(problem, where=f"FactorModel {factor_name!r}", fix="Give a list.")
         self.factor_name = factor_name
         # The list itself, not a copy: a config may change it later.
         self.treatments: Sequence[Any] = (
@@ -71,12 +69,10 @@ class RunTableModel:
         Raises:
             ConfigError: an argument is unknown or has an invalid value.
         """
-        unknown = [
+        ConfigError.refuse(
             Finding.error("RunTableModel", f"RunTableModel has no argument {name!r}", did_you_mean(name, _KNOWN))
             for name in sorted(set(named) - set(_KNOWN))
-        ]
-        if unknown:
-            raise ConfigError.of_findings(unknown)
+        )
         given = _by_position(arguments) | named
         self._arguments = {*named, *({"repetitions"} & set(given))}
         self._factors = _factors(_first(given, _FACTORS, ()))
@@ -194,11 +190,8 @@ def _factors(factors: Any) -> list[FactorModel]:
     listed = list(factors) if isinstance(factors, Iterable) and not isinstance(factors, str) else [factors]
     for factor in listed:
         if not isinstance(factor, FactorModel):
-            raise ConfigError(
-                f"{factor!r} is not a factor",
-                where="RunTableModel, factors",
-                fix="Give a list such as [FactorModel('Task', ['Video', 'Network'])].",
-            )
+            fix = "Give a list such as [FactorModel('Task', ['Video', 'Network'])]."
+            raise ConfigError(f"{factor!r} is not a factor", where="RunTableModel, factors", fix=fix)
     _check_equal_names("factor", [factor.factor_name for factor in listed])
     if current_session().recognised.dialect is Dialect.EXPERIMENT_RUNNER:
         _check_equal_treatments(listed)
@@ -206,14 +199,11 @@ def _factors(factors: Any) -> list[FactorModel]:
 
 
 def _check_equal_names(kind: str, names: Sequence[Any]) -> None:
-    twice = [name for name in dict.fromkeys(map(str, names)) if list(map(str, names)).count(name) > 1]
-    if twice:
-        raise ConfigError.of_findings(
-            [
-                Finding.error("RunTableModel", f"two {kind}s are called {name!r}", "Give each a name of its own.")
-                for name in twice
-            ]
-        )
+    ConfigError.refuse(
+        Finding.error("RunTableModel", f"two {kind}s are called {name!r}", "Give each a name of its own.")
+        for name, count in Counter(map(str, names)).items()
+        if count > 1
+    )
 
 
 def _check_equal_treatments(factors: Sequence[FactorModel]) -> None:
@@ -222,20 +212,15 @@ def _check_equal_treatments(factors: Sequence[FactorModel]) -> None:
         texts = [(type(value), str(value)) for value in factor.treatments]
         for place, text in enumerate(texts):
             if texts.index(text) < place:
-                raise ConfigError(
-                    f"treatment {factor.treatments[place]!r} is given twice",
-                    where=f"FactorModel {factor.factor_name!r}",
-                    fix="Remove one; `repetitions` executes each combination several times.",
-                )
+                problem = f"treatment {factor.treatments[place]!r} is given twice"
+                fix = "Remove one; `repetitions` executes each combination several times."
+                raise ConfigError(problem, where=f"FactorModel {factor.factor_name!r}", fix=fix)
 
 
 def _repetitions(value: Any) -> int:
     if isinstance(value, bool) or not isinstance(value, int) or value < 1:
-        raise ConfigError(
-            f"the number of repetitions is {value!r}",
-            where="RunTableModel",
-            fix="Give a whole number, 1 or more.",
-        )
+        fix = "Give a whole number, 1 or more."
+        raise ConfigError(f"the number of repetitions is {value!r}", where="RunTableModel", fix=fix)
     return value
 
 
@@ -243,11 +228,8 @@ def _data_columns(value: Any) -> list[str]:
     if value is None:
         return []
     if isinstance(value, str) or not isinstance(value, Iterable):
-        raise ConfigError(
-            f"data_columns is {value!r}, of type {type(value).__name__}",
-            where="RunTableModel",
-            fix="Give a list of names.",
-        )
+        fix = "Give a list of names."
+        raise ConfigError(f"data_columns is {value!r}, of type {type(value).__name__}", where="RunTableModel", fix=fix)
     columns = value if isinstance(value, list) else list(value)
     _check_equal_names("data column", columns)
     return columns

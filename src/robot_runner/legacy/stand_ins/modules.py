@@ -89,8 +89,7 @@ _OF_BOTH_TOOLS: dict[str, Names] = {
     **_machinery("ExperimentOrchestrator.Architecture", _ARCHITECTURE),
     **_machinery("ExperimentOrchestrator.Experiment", {"ExperimentController": "ExperimentController"}),
     **_machinery(
-        "ExperimentOrchestrator.Experiment.Run",
-        {"IRunController": "IRunController", "RunController": "RunController"},
+        "ExperimentOrchestrator.Experiment.Run", {"IRunController": "IRunController", "RunController": "RunController"}
     ),
     **_machinery("ExperimentOrchestrator.Misc", _MISC),
     "ExtendedTyping.Typing": _TYPING,
@@ -179,14 +178,13 @@ class StandIns(MetaPathFinder, Loader):
             sys.modules.update(others)
 
     def find_spec(
-        self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None
+        self, fullname: str, path: Sequence[str] | None, _target: ModuleType | None = None
     ) -> ModuleSpec | None:
         """Return the spec of a stand-in, or of an additional module of the fork.
 
         Raises:
             ModuleNotFoundError: neither tool has such a module.
         """
-        del target
         if fullname == _LOWER_CASE_ROOT:
             own = PathFinder.find_spec(fullname)
             if own is not None:
@@ -201,16 +199,9 @@ class StandIns(MetaPathFinder, Loader):
         spec = PathFinder.find_spec(fullname, path or [])
         if spec is None:
             hint = did_you_mean(fullname, MODULES) if fullname.count(".") else ""
-            raise ModuleNotFoundError(
-                f"neither Robot Runner nor Experiment Runner ever had a module {fullname}. {hint}".strip(),
-                name=fullname,
-            )
+            problem = f"neither Robot Runner nor Experiment Runner ever had a module {fullname}. {hint}".strip()
+            raise ModuleNotFoundError(problem, name=fullname)
         return spec
-
-    def create_module(self, spec: ModuleSpec) -> ModuleType | None:
-        """Return None: Python makes the module."""
-        del spec
-        return None
 
     def exec_module(self, module: ModuleType) -> None:
         """Set the names of a module."""

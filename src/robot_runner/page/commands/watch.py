@@ -113,9 +113,8 @@ def _folder(given: str, *, may_be_missing: bool) -> Path:
     if folder.is_dir() or may_be_missing:
         return folder
     if folder.exists():
-        raise StorageError(
-            "this is not a folder", where=given, fix="Name the folder of an experiment, or one above it."
-        )
+        fix = "Name the folder of an experiment, or one above it."
+        raise StorageError("this is not a folder", where=given, fix=fix)
     names = [each.name for each in folder.parent.iterdir() if each.is_dir()] if folder.parent.is_dir() else []
     fix = did_you_mean(folder.name, names) if 0 < len(names) < _MOST_NAMES else "Name a folder that is there."
     raise StorageError("there is no such folder", where=given, fix=fix)

@@ -79,9 +79,8 @@ def _explain_badges(arguments: Namespace) -> int:
         console.print(Text(one_line(badge), style="bold"))
         for line in (each for each in lines if each.badge == badge):
             state = line.state.value
-            print_folded(
-                console, f"  {_MARKS.get(state, '?')} ", one_line(f"{line.what} ({state}). {line.fact}"), style=""
-            )
+            told = one_line(f"{line.what} ({state}). {line.fact}")
+            print_folded(console, f"  {_MARKS.get(state, '?')} ", told, style="")
     return 0
 
 

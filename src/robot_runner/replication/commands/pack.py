@@ -141,7 +141,8 @@ def execute(arguments: Namespace) -> int:
 
         def ask(count: int) -> None:
             stack.close()  # all files are packed now
-            _say_asking(count)
+            asking = f"Asking the package index for the hashes of {counted(count, 'package')}"
+            complaints().print(f"{asking}: minutes at most; --no-hashes skips it.", style="dim")
 
         packed = pack(folder, target, packing, show, ask)
     signature = sign(target, key) if key else None
@@ -164,12 +165,6 @@ def _key(text: str | None) -> Path | None:
         fix = "Name a key of ssh; `ssh-keygen -t ed25519` makes one."
         raise UsageError("there is no such key", where=str(key), fix=fix)
     return key
-
-
-def _say_asking(count: int) -> None:
-    packages = counted(count, "package")
-    text = f"Asking the package index for the hashes of {packages}: minutes at most; --no-hashes skips it."
-    complaints().print(text, style="dim")
 
 
 def _authors(texts: list[str]) -> tuple[Author, ...]:
@@ -205,14 +200,12 @@ def _print(console: UserConsole, packed: Packed, signature: Path | None, *, has_
             ("Next", f"look into it before you publish it, and check it: {command_line('verify', name)}"),
         ],
     )
-    for line in _listed(packed.replaced):
-        print_folded(console, "  - ", f"replaced: {line}", style="")
-    for line in _listed(packed.doubtful):
-        print_folded(console, "  - ", f"kept, though in doubt: {line}", style="")
-    for each in packed.not_searched:
-        print_folded(console, "  - ", one_line(f"not searched: {each.name} ({each.why})"), style="")
-    for each in packed.left_out:
-        print_folded(console, "  - ", one_line(f"left out: {each.name} ({each.why})"), style="")
+    lines = [f"replaced: {line}" for line in _listed(packed.replaced)]
+    lines += [f"kept, though in doubt: {line}" for line in _listed(packed.doubtful)]
+    lines += [f"not searched: {each.name} ({each.why})" for each in packed.not_searched]
+    lines += [f"left out: {each.name} ({each.why})" for each in packed.left_out]
+    for line in lines:
+        print_folded(console, "  - ", one_line(line), style="")
 
 
 def _hashes(packed: Packed, *, has_asked: bool) -> str:
@@ -235,7 +228,7 @@ def _listed(found: Iterable[Replaced]) -> Iterator[str]:
     for (name, what), files in grouped.items():
         where = name if len(files) > 1 else _place(files[0])
         in_files = f" in {len(files)} files" if len(files) > 1 else ""
-        yield one_line(f"{what}, {counted(sum(each.count for each in files), 'time')}{in_files} ({where})")
+        yield f"{what}, {counted(sum(each.count for each in files), 'time')}{in_files} ({where})"
 
 
 def _place(found: Replaced) -> str:

@@ -49,7 +49,7 @@ from robot_runner.replication.commands.replication_plan import (
     wants_own_environment,
 )
 from robot_runner.replication.commands.replication_verdict import Comparing, facts_of
-from robot_runner.replication.differences import Difference, differing_environment
+from robot_runner.replication.differences import differing_environment
 from robot_runner.replication.replicating import (
     Source,
     find_source,
@@ -126,7 +126,6 @@ def _check_options(arguments: Namespace) -> None:
 
 
 def _replicate(arguments: Namespace) -> dict[str, Any]:
-    """Replicate the package, and return the result as plain data."""
     deviations = parse_assignments(arguments.set)
     arguments.package = arguments.package or only_package("replicate")
     with byte_progress("verifying") as progress:
@@ -145,7 +144,10 @@ def _replicate(arguments: Namespace) -> dict[str, Any]:
         print_container(output(), source, _unpacked(source, target))
         return facts
     make_sure(source.kind, is_agreed=arguments.yes)
-    own = arguments.environment or _offered(arguments, source, differing)
+    own = arguments.environment
+    if not own:
+        is_own = source.is_sealed and wants_own_environment(differing, is_agreed=arguments.yes)
+        own = _VENV if is_own else _HERE
     root = _unpacked(source, target)
     comparing = Comparing(root, target, arguments.bound, is_agreed=arguments.yes)
     if not arguments.without_verdict:
@@ -170,12 +172,6 @@ def _refuse_name(name: str) -> None:
 def _harmless(name: str) -> str:
     """Return an untrusted name without folders and control characters."""
     return re.sub(r"[^\w .-]", "_", Path(name).name)
-
-
-def _offered(arguments: Namespace, source: Source, differing: list[Difference]) -> str:
-    """Return the environment that is used if none was named."""
-    is_own = source.is_sealed and wants_own_environment(differing, is_agreed=arguments.yes)
-    return _VENV if is_own else _HERE
 
 
 def _unpacked(source: Source, target: Path) -> Path:

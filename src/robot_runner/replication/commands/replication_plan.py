@@ -96,13 +96,11 @@ def print_plan(
     sealed = ("verified: every file is as it was packed", "green") if source.is_sealed else ("not sealed", "yellow")
     head = Text(one_line(source.experiment), style="bold").append(f"  {sealed[0]}", f"not bold {sealed[1]}")
     console.print(head, soft_wrap=True)
+    kept = {name: text for name, text in settings.items() if name not in deviations}
     facts = [
         ("Executes", f"{config_of(manifest)}, seed {manifest.get('seed')}"),
-        (
-            "As then",
-            ", ".join(f"{name}={text}" for name, text in shown_settings(settings).items() if name not in deviations),
-        ),
-        ("Deviates", ", ".join(f"{name}={text}" for name, text in shown_settings(deviations).items())),
+        ("As then", _settings_in_words(kept)),
+        ("Deviates", _settings_in_words(deviations)),
         ("Replaced", _replaced(source)),
         ("Left out", ", ".join(str(each.get("name")) for each in source.description.get("left_out", ()))),
         ("Results", f"{shown_path(target)}/"),
@@ -126,14 +124,17 @@ def print_container(console: UserConsole, source: Source, root: Path) -> None:
     """Print the commands that build an image and replicate in it."""
     image = source.description.get("base_image")
     if not (isinstance(image, str) and is_pinned(image)):
+        problem = "no digest of its base image is known, so that it may change"
         fix = "`--build-arg BASE=NAME@sha256:...` pins it."
-        show_findings(
-            [Finding.warning("Containerfile", "no digest of its base image is known, so that it may change", fix)]
-        )
+        show_findings([Finding.warning("Containerfile", problem, fix)])
     console.print()
     console.print("Build the image and replicate in it (docker takes the same words):", style="bold")
     for command in container_commands(source.experiment, shlex.quote(shown_path(root))):
         console.print(f"  {command}", soft_wrap=True)
+
+
+def _settings_in_words(settings: Mapping[str, Any]) -> str:
+    return ", ".join(f"{name}={text}" for name, text in shown_settings(settings).items())
 
 
 def _replaced(source: Source) -> str:

@@ -168,8 +168,7 @@ class Comparing:
         for each in verdict.measures:
             beside = f" It does not count: {each.secondary_because}." if each.secondary_because else ""
             print_folded(console, "  ", one_line(f"{each.sentence}{beside}"), style="")
-        style = f"bold {_STYLES[verdict.conclusion]}"
-        console.tell(one_line(verdict.sentence), style=style)
+        console.tell(one_line(verdict.sentence), style=f"bold {_STYLES[verdict.conclusion]}")
 
 
 def _differs(same: Sameness | None) -> bool:
