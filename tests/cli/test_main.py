@@ -202,6 +202,13 @@ def test_a_file_that_is_not_there_is_taken_for_a_config(robot_runner: Callable) 
     assert "nowhere/experiment.py: there is no such file" in answer.err
 
 
+@pytest.mark.parametrize("words", [[], ["check"], ["status"]])
+def test_a_config_that_is_a_link_to_itself_is_refused(robot_runner: Callable, tmp_path: Path, words: list[str]) -> None:
+    (link := tmp_path / "study.py").symlink_to(link)
+    answer = robot_runner(*words, link)
+    assert (answer.code, "Too many levels of symbolic links" in answer.out + answer.err) == (2, True)
+
+
 def test_words_come_from_the_command_line_where_none_are_given(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import json
 import os
 from typing import TYPE_CHECKING, Any
 
@@ -16,6 +17,7 @@ from robot_runner.core.execution.run_records import RecordReader
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
+    from pathlib import Path
     from types import TracebackType
     from typing import Self
 
@@ -123,3 +125,34 @@ def test_an_attempt_whose_worker_has_not_begun_it_is_over_as_soon_as_it_is_stopp
     asyncio.run(stopped())
     over = {"token": "89ab", "because": "interrupted", "is_interrupted": True, "seconds": 0.0}
     assert told.replies() == [("over", over)]
+
+
+@pytest.mark.parametrize(
+    "ended",
+    [
+        {"because": None},
+        {"because": None, "is_interrupted": False, "seconds": 1.0, "files": 1, "bytes": "all", "list": 9},
+        {"because": None, "is_interrupted": False, "seconds": 1.0, "files": 1, "bytes": 1},
+        [],
+    ],
+    ids=["without a duration", "a text for a size", "without a list", "no mapping"],
+)
+def test_an_attempt_whose_worker_tells_its_end_wrongly_is_lost(told: _Told, tmp_path: Path, ended: Any) -> None:
+    """Nobody told that it was over: the experiment waited for it without end, as its worker's lease was renewed."""
+
+    async def over() -> None:
+        told.gateway._facts = {**told.gateway._facts, "root": str(tmp_path), "runs": str(tmp_path)}
+        member = Member("tcp://one:1", "one", 1, {}, id="1")  # whose lease ended long ago
+        told.gateway._client = _Client()  # type: ignore[assignment]
+        told.gateway._members[member.address] = member
+        order = {"token": "89ab", "worker": "1", "name": "one", "address": member.address, "claims": [], "task": {}}
+        told.gateway._begin({**order, "run": "r_1"})
+        message = {"session": "0123", "token": "89ab", "first": 0, "told": json.dumps([[], ended])}
+        told.gateway._take_event((0.0, message))
+        for _ in range(20):
+            await asyncio.sleep(0)
+        ((kind, fields),) = told.replies()
+        assert (kind, fields["token"]) == ("over", "89ab")
+        assert "what it has left could not be brought home" in fields["lost"]
+
+    asyncio.run(over())

@@ -16,6 +16,7 @@ FAULTS = {
     "segmentation fault": ("ctypes.string_at(0)", "the run's process was killed by SIGSEGV"),
     "abort": ("os.abort()", "the run's process was killed by SIGABRT"),
     "killed": ("os.kill(os.getpid(), signal.SIGKILL)", "the run's process was killed by SIGKILL"),
+    "killed by a signal without a name": ("os.kill(os.getpid(), 40)", "the run's process was killed by signal 40"),
     "out of memory": (
         "resource.setrlimit(resource.RLIMIT_AS, (1 << 29, 1 << 29)); bytearray(1 << 30)",
         "MemoryError",

@@ -461,6 +461,7 @@ def test_a_program_of_all_runs_is_said_not_to_be_on_the_graphs_of_several_robots
         ({"command": ["planner"], "grace_s": 0}, "Give grace_s a number of seconds above 0."),
         ({"command": ["planner"], "stop_signal": "sigint"}, "Did you mean 'signal.SIGINT'?"),
         ({"command": ["planner"], "stop_signal": "SIGINT"}, "Did you mean 'signal.SIGINT'?"),
+        ({"command": ["planner"], "stop_signal": True}, "Give a member of it: stop_signal=signal.SIGINT."),
         ({"command": ["planner"], "environment": {"A=b": "c"}}, "Give a mapping"),
         ({"command": ["planner"], "environment": ["A=b"]}, "Give a mapping"),
         ({"command": ["planner"], "ready": 8080}, "Give a condition"),

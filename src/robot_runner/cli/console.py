@@ -33,8 +33,7 @@ _PROGRAM = "robot-runner"
 class UserConsole(Console):
     """A rich console, coloured on a terminal, that shows text as it is: no markup, and no escape sequence but its own.
 
-    Attributes:
-        lines: a stream for plain lines; they are made harmless, too.
+    Its `lines` are a stream for plain lines, which are made harmless, too.
     """
 
     def __init__(self, stream: TextIO) -> None:
@@ -101,10 +100,9 @@ def shown_path(path: Path) -> str:
         'results'
     """
     try:
-        relative = path.relative_to(Path.cwd())
+        return str(path.relative_to(Path.cwd()))
     except (ValueError, OSError):
         return str(path)
-    return str(relative)
 
 
 def command_line(*words: str) -> str:

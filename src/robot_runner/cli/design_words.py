@@ -234,6 +234,8 @@ def design_as_json(model: RunTableModel) -> dict[str, Any]:
     """Return factors, repetitions and order as plain data."""
     warm_up = {"warm_up": asdict(model.warm_up)} if model.warm_up else {}
     batches = {"batches": list(map(batch_as_json, model.batches))} if model.is_extended else {}
+    chosen = {**model.design.as_mapping(), "facts": dict(model.design_facts)}
+    design = {} if model.is_full_factorial else {"design": chosen}
     return {
         "run_count": len(model.plan()),
         "factors": {factor.name: list(map(plain, factor.treatments)) for factor in model.factors},
@@ -243,11 +245,7 @@ def design_as_json(model: RunTableModel) -> dict[str, Any]:
             "blocks": model.blocks,
             "seed": model.seed if model.seed_is_given else None,
         },
-        **(
-            {}
-            if model.is_full_factorial
-            else {"design": {**model.design.as_mapping(), "facts": dict(model.design_facts)}}
-        ),
+        **design,
         **warm_up,
         **batches,
     }

@@ -64,8 +64,7 @@ def told_as_recorded(change: str) -> Iterator[None]:
 def exclude_runs(folder: ExperimentFolder, expressions: Sequence[str], reason: str) -> tuple[str, ...]:
     """Exclude runs from the analysis; those that are still to do are not executed either.
 
-    Returns:
-        The ids of the runs that were not excluded before with the same reason.
+    Return the ids of the runs that were not excluded before with the same reason.
 
     Raises:
         RobotRunnerError: there are no such runs, there is no reason, or the experiment is being executed.
@@ -81,10 +80,7 @@ def exclude_runs(folder: ExperimentFolder, expressions: Sequence[str], reason: s
 
 
 def include_runs(folder: ExperimentFolder, expressions: Sequence[str], reason: str = "") -> tuple[str, ...]:
-    """Include runs again that were excluded.
-
-    Returns:
-        Their ids.
+    """Include runs again that were excluded, and return their ids.
 
     Raises:
         RobotRunnerError: there are no such runs, none of them is excluded, or the experiment is being executed.

@@ -38,7 +38,6 @@ class Execution:
 
     Attributes:
         finished: how it ended; None where it could not go on.
-        progress: what the screen saw of it.
         was_shown_live: whether the table of its runs is on the terminal already.
     """
 

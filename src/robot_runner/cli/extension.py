@@ -69,14 +69,7 @@ class ExtensionRequest:
 
 @dataclass(frozen=True, slots=True)
 class Extension:
-    """The runs that were added to an experiment, or would be.
-
-    Attributes:
-        batch: the new one.
-        model: the design with it.
-        runs: those of the new batch, in the order of execution.
-        findings: warnings.
-    """
+    """The new batch, the design with it, its runs in the order of execution, and warnings."""
 
     batch: Batch
     model: GrownRunTableModel

@@ -90,12 +90,7 @@ def tally(findings: Sequence[Finding]) -> str:
 def as_json(findings: Sequence[Finding]) -> list[dict[str, str]]:
     """Return findings as plain data, errors first."""
     return [
-        {
-            "severity": finding.severity.value,
-            "where": finding.where,
-            "problem": finding.problem,
-            "fix": finding.fix,
-        }
+        {"severity": finding.severity.value, "where": finding.where, "problem": finding.problem, "fix": finding.fix}
         for finding in errors_first(findings)
     ]
 
@@ -106,11 +101,7 @@ _MOST = 8
 
 
 def print_odd(
-    console: UserConsole,
-    *,
-    failures: Sequence[str],
-    findings: Sequence[Finding],
-    run_ids: Collection[str] | None,
+    console: UserConsole, *, failures: Sequence[str], findings: Sequence[Finding], run_ids: Collection[str] | None
 ) -> None:
     """Print why runs failed, a line each, and the warnings; without `run_ids`, ids are recognised by their form."""
     reasons = _reasons(failures)
@@ -151,8 +142,7 @@ def grouped(findings: Iterable[Finding], run_ids: Collection[str] | None) -> lis
     groups: dict[tuple[str, str, str], list[tuple[str, Finding]]] = {}
     for finding in findings:
         run_id, place = _split(finding.where, run_ids)
-        key = (place, _NUMBER.sub("#", finding.problem), finding.fix)
-        groups.setdefault(key, []).append((run_id, finding))
+        groups.setdefault((place, _NUMBER.sub("#", finding.problem), finding.fix), []).append((run_id, finding))
     places: dict[tuple[str, str], list[str]] = {}
     for (place, _, fix), members in groups.items():
         places.setdefault((_text(members), fix), []).append(place)

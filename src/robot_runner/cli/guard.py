@@ -67,8 +67,7 @@ def show_fault(error: Exception, *, show_traceback: bool) -> None:
     else:
         fix = "Repeat the command with --debug, and report it with the traceback that is shown then."
     said = without_environment_secrets(f"{type(error).__name__}: {error}")
-    problem = f"this is a fault of Robot Runner, not yours: {said}"
-    show_findings([Finding.error("", problem, fix)])
+    show_findings([Finding.error("", f"this is a fault of Robot Runner, not yours: {said}", fix)])
 
 
 def _kept(text: str) -> str:

@@ -55,7 +55,6 @@ class _LastingStream:
         self._say = say
 
     def write(self, text: str) -> int:
-        """Write a text, or drop it; return its length."""
         try:
             return self._stream.write(text)
         except OSError as error:
@@ -63,12 +62,10 @@ class _LastingStream:
             return len(text)
 
     def writelines(self, lines: Iterable[str]) -> None:
-        """Write several texts, or drop them."""
         for line in lines:
             self.write(line)
 
     def flush(self) -> None:
-        """Flush the buffer, or drop its text."""
         try:
             self._stream.flush()
         except OSError as error:

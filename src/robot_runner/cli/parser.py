@@ -44,10 +44,7 @@ class Parser(argparse.ArgumentParser):
     def __init__(self, command: str, description: str) -> None:
         self.documented: list[argparse.Action] = []
         super().__init__(
-            prog=f"robot-runner {command}",
-            description=description,
-            allow_abbrev=False,
-            formatter_class=_Folding,
+            prog=f"robot-runner {command}", description=description, allow_abbrev=False, formatter_class=_Folding
         )
         self.color = False  # Python 3.14 and later would write escape sequences, which are shown as text here
 
@@ -56,16 +53,18 @@ class Parser(argparse.ArgumentParser):
     ) -> argparse.Action:
         """Add an argument, and remember it for the documentation.
 
-        Args:
-            names: of the option, or of the argument.
-            completer: what a shell offers at TAB, as argcomplete calls it; files if it is left out.
-            settings: as argparse takes them.
+        `completer` is what a shell offers at TAB, as argcomplete calls it; files if it is left out.
         """
         action: Any = super().add_argument(*names, **settings)
         if completer is not None:
             action.completer = completer
         self.documented.append(action)
         return action  # type: ignore[no-any-return]
+
+    def add_several(self, option: str, metavar: str, meaning: str, **settings: Any) -> None:
+        """Add an option that may be given several times; it is parsed to a list, in order."""
+        explained = f"{meaning}; may be given several times"
+        self.add_argument(option, metavar=metavar, action="append", default=[], help=explained, **settings)
 
     def parse(self, words: Sequence[str]) -> argparse.Namespace:
         """Return the parsed words.
@@ -91,11 +90,7 @@ class Parser(argparse.ArgumentParser):
         raise UsageError(f"{unknown[0]!r} is one word too many", where=self.prog, fix=fix)
 
     def error(self, message: str) -> NoReturn:
-        """Turn a complaint of argparse into one of ours.
-
-        Raises:
-            UsageError: always.
-        """
+        """Raise a complaint of argparse as a `UsageError`."""
         missing = message.removeprefix("the following arguments are required: ")
         are = "are" if ", " in missing else "is"
         problem = message if missing == message else f"{enumerated(missing.split(', '))} {are} missing"
@@ -155,9 +150,7 @@ def add_config(parser: Parser) -> None:
 def add_target(parser: Parser, *, is_the_only_one: bool = False) -> None:
     """Add an experiment, named by its folder or by its config file.
 
-    Args:
-        parser: of the command.
-        is_the_only_one: whether it may be left out where there is only one experiment (`only_experiment`).
+    With `is_the_only_one` it may be left out where there is only one experiment (`only_experiment`).
     """
     left_out = "; the only experiment here, or at most two folders below, where it is left out"
     parser.add_argument(
@@ -170,14 +163,8 @@ def add_target(parser: Parser, *, is_the_only_one: bool = False) -> None:
 
 def add_set(parser: Parser) -> None:
     """Add the option that replaces a value of the config."""
-    parser.add_argument(
-        "--set",
-        metavar="NAME=VALUE",
-        action="append",
-        default=[],
-        help="set a static parameter of the config, such as robot=simulated; may be given several times",
-        completer=_assignments,
-    )
+    meaning = "set a static parameter of the config, such as robot=simulated"
+    parser.add_several("--set", "NAME=VALUE", meaning, completer=_assignments)
 
 
 def _assignments(prefix: str, **_: Any) -> list[str]:

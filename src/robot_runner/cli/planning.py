@@ -52,7 +52,6 @@ class Plan:
         durations: what is known of how long runs take; None where that cannot be found out.
         duration: how long the runs take that are still to be executed.
         executed: the runs that were begun, in the order in which they were.
-        excluded: why runs are left out, by id.
         repeated: until when combinations are repeated, how often at least and how often at most; empty where they
             are executed as often as is planned.
     """

@@ -45,15 +45,12 @@ class QueuedExperiment:
         config: its config file, an absolute path.
         options: those of `robot-runner run` that it is executed with.
         started_in: the folder in which it was added, and is executed.
-        experiment: its name.
-        results: its folder.
         claims: what it claims against other experiments.
         python: the interpreter that it was added with, and is executed with.
         environment: variables that it was added with and that say which robot is meant.
         config_sha256: of the config file when it was added.
         added_at, began_at, ended_at: UTC.
         exit_code: of `robot-runner run`, once it has ended.
-        problem: what went wrong, if anything did.
     """
 
     number: int
@@ -96,9 +93,8 @@ class ExperimentQueue:
             self.folder.mkdir(parents=True, exist_ok=True, mode=0o700)
             found = self.folder.stat()
         except OSError as error:
-            raise StorageError(
-                f"the folder of the queue cannot be made: {error.strerror}", where=str(self.folder), fix=_OWN
-            ) from error
+            problem = f"the folder of the queue cannot be made: {error.strerror}"
+            raise StorageError(problem, where=str(self.folder), fix=_OWN) from error
         if found.st_uid != os.geteuid() or found.st_mode & 0o022:
             problem = "others may write in the folder of the queue, and what stands in it is executed"
             raise StorageError(problem, where=str(self.folder), fix=f"Look at it, then: chmod 700 {self.folder}")
@@ -138,11 +134,7 @@ class ExperimentQueue:
         return found, findings
 
     def write(self, queued: QueuedExperiment) -> None:
-        """Write the file of an experiment, completely or not at all.
-
-        Raises:
-            StorageError: it cannot be written.
-        """
+        """Write the file of an experiment, completely or not at all; raise a `StorageError` if it cannot be written."""
         known = asdict(queued)
         del known["number"]
         guarded_files.replace(self._file(queued.number), json.dumps(known, indent=1), self.folder)
@@ -236,9 +228,8 @@ class ExperimentQueue:
         try:
             names = [path.name for path in self.folder.iterdir()]
         except OSError as error:
-            raise StorageError(
-                f"the folder of the queue cannot be read: {error.strerror}", where=str(self.folder), fix=_OWN
-            ) from error
+            problem = f"the folder of the queue cannot be read: {error.strerror}"
+            raise StorageError(problem, where=str(self.folder), fix=_OWN) from error
         return {int(found[1]) for name in names if (found := _FILE.fullmatch(name))}
 
     def _read(self, number: int, findings: list[Finding]) -> QueuedExperiment | None:

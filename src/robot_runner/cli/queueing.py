@@ -50,11 +50,7 @@ def named(queued: QueuedExperiment) -> str:
 
 
 def digest_of(config: str) -> str:
-    """Return the SHA-256 of a config file.
-
-    Raises:
-        StorageError: it cannot be read.
-    """
+    """Return the SHA-256 of a config file; raise a `StorageError` if it cannot be read."""
     try:
         return hashlib.sha256(Path(config).read_bytes()).hexdigest()
     except OSError as error:
@@ -180,11 +176,8 @@ class QueueRunner:
     """Executes the queue: the first experiment whose claims are free, then the next, until none is left.
 
     None overtakes an earlier one that claims the same. Several runners may work at once, each on another experiment. A
-    stop signal is passed on to the experiment that is being executed; the runner ends after it.
-
-    Args:
-        queue: from which they are taken.
-        stays: whether to wait for more where none is left.
+    stop signal is passed on to the experiment that is being executed; the runner ends after it. With `stays`, it waits
+    for more where none is left.
     """
 
     def __init__(self, queue: ExperimentQueue, *, stays: bool = False) -> None:

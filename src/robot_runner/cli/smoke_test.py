@@ -179,7 +179,6 @@ class SmokeResult:
         with_values: the measures that had a plausible value in each run that ended well.
         without_values: the measures that had none in some run, and in how many.
         doubtful: the measures with values that may not be true, with the first reason.
-        failures: why runs failed, by id.
         not_proved: what the study has and the smoke test had not.
         seconds: of each run that ended well, s, by id.
     """

@@ -43,15 +43,11 @@ def folder_of_target(target: str, assignments: Sequence[str], *, takes_older: bo
         fix = did_you_mean(path.name, names, otherwise)
         raise StorageError("there is no such file or folder", where=target, fix=fix)
     if path.suffix.casefold() == ".zip":
-        words = shlex.join(["unzip", "-q", target, "-d", path.stem])
-        fix = f"Unpack it, and name the folder: {words}"
+        fix = f"Unpack it, and name the folder: {shlex.join(['unzip', '-q', target, '-d', path.stem])}"
         raise StorageError("this is a package, and an experiment's folder is needed", where=target, fix=fix)
     if path.suffix.casefold() != ".py" and holds_experiment(path.parent):
-        problem, fix = (
-            "this is a file of an experiment, and its folder is needed",
-            f"Name it: {shown_path(path.parent)}",
-        )
-        raise StorageError(problem, where=target, fix=fix)
+        problem = "this is a file of an experiment, and its folder is needed"
+        raise StorageError(problem, where=target, fix=f"Name it: {shown_path(path.parent)}")
     return _of_config(path, assignments, takes_older=takes_older)
 
 
@@ -171,6 +167,18 @@ def target_and_runs(
     return folder_of_target(target, assignments), runs
 
 
+def refuse_unwritable(folder: Path, option: str) -> None:
+    """Refuse to write into a folder within an experiment's, before anything is computed, where that cannot be done.
+
+    Raises:
+        StorageError: it cannot be written; with the option of the command that writes elsewhere.
+    """
+    existing = next(each for each in (folder, *folder.parents) if os.path.isdir(each))  # noqa: PTH112 - as above
+    if not os.access(existing, os.W_OK | os.X_OK):
+        where = shown_path(existing)
+        raise StorageError("the folder cannot be written", where=where, fix=f"Write elsewhere: {option} FOLDER.")
+
+
 def only_package(command: str) -> str:
     """Return the only zip file in this folder; whether it is a package shows when it is opened.
 
@@ -186,9 +194,8 @@ def _experiments(folder: Path, depth: int) -> Iterator[Path]:
     elif depth and not os.path.exists(folder / _UNPACKED):  # noqa: PTH110 - false of what cannot be looked at, too
         names: list[str] = []
         with suppress(OSError), os.scandir(folder) as below:
-            names = [
-                each.name for each in below if each.is_dir(follow_symlinks=False) and not each.name.startswith(".")
-            ]
+            folders = (each for each in below if each.is_dir(follow_symlinks=False))
+            names = [each.name for each in folders if not each.name.startswith(".")]
         for name in names:
             yield from _experiments(folder / name, depth - 1)
 

@@ -19,10 +19,7 @@ def template(name: str) -> str:
 def write_new_file(path: Path, text: str, *, instead: str) -> None:
     """Write a file that is not there yet.
 
-    Args:
-        path: the file.
-        text: what it is to hold.
-        instead: what to do where there is one already: one imperative.
+    `instead` says what to do where there is one already: one imperative.
 
     Raises:
         StorageError: it is there, or cannot be written.

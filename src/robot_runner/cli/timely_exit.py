@@ -23,10 +23,7 @@ TELL_AFTER, END_AFTER = 5.0, 600.0
 def leave_in_time(code: int, tell_after: float = TELL_AFTER, end_after: float = END_AFTER) -> None:
     """Make sure that this process ends in time, with an exit code. Call it once all is done.
 
-    Args:
-        code: the exit code.
-        tell_after: after how long to say what it waits for, s.
-        end_after: how long after that to end it, s.
+    After `tell_after` s it says what it waits for, and `end_after` s later it is ended.
     """
     # A daemon lives until Python has waited for everything else.
     with suppress(RuntimeError):  # no thread can be started, by the limits of this user: then it ends as Python does

@@ -74,11 +74,7 @@ class Trial:
     Attributes:
         findings: of its check, and of the run, errors first.
         outcome: how the run went; None where it was refused.
-        events: the six events of a run, in order.
         refused: values that it published and that the run table could not take.
-        raw_files: what it wrote.
-        log: what it printed.
-        folder: of its raw data.
         quality: what its `quality.json` says, if it keeps one.
         missing: its measures, where the run is done and none of them has a value.
     """
@@ -102,7 +98,6 @@ class _Witness(SilentObserver):
         self.outcome: RunOutcome | None = None
 
     def notice(self, notice: Notice) -> None:
-        """Take a notice."""
         if isinstance(notice, RunRecord):
             self.records.append(notice)
         elif isinstance(notice, AttemptFinished):
@@ -136,8 +131,6 @@ def _loaded(
     path: Path, plugin: Plugin, seconds: float, robot: str | None, treatments: Mapping[str, Any]
 ) -> LoadedConfig:
     class RobotRunnerConfig(ExperimentConfig):
-        """The experiment of a trial."""
-
         experiment_name = _NAME
         results_output_path = path.parent
         probe = False  # the trial itself is more than a probe
@@ -145,12 +138,10 @@ def _loaded(
         grace_in_s = _GRACE
 
         def launch_mission(self, context: RobotRunnerContext) -> None:
-            """Let time go by."""
             if not has_mission(plugin):
                 context.clock.sleep(seconds)
 
         def create_run_table(self) -> RunTableModel:
-            """Return one run."""
             return RunTableModel([Factor(name, [value]) for name, value in (treatments or {"Trial": 1}).items()])
 
     config: Any = RobotRunnerConfig()
@@ -217,9 +208,7 @@ _ROBOT = "robot"
 def make_plugin(chosen: str, values: Mapping[str, str]) -> tuple[Plugin, str | None]:
     """Return an instance of the plugin, and how a robot is reached if `robot` was set.
 
-    Args:
-        chosen: as `plugin_class` takes it.
-        values: the parameters, by name, each as it was typed: a Python literal, or else a text.
+    `chosen` is as `plugin_class` takes it; values are as they were typed: a Python literal, or else a text.
 
     Raises:
         PluginError: there is no such plugin or parameter, or it cannot be made; what its code raises is told.
@@ -268,9 +257,8 @@ def _check_names(kind: type, own: Mapping[str, str]) -> None:
     if missing:
         settings = " ".join(f"--set {name}=..." for name in missing)
         problem = f"the plugin cannot be built without {enumerated(missing)}"
-        raise PluginError(
-            problem, where=kind.__name__, fix=f"Add {settings}; `robot-runner plugins` describes its parameters."
-        )
+        fix = f"Add {settings}; `robot-runner plugins` describes its parameters."
+        raise PluginError(problem, where=kind.__name__, fix=fix)
 
 
 def plugin_class(chosen: str) -> type[Plugin]:
@@ -328,19 +316,15 @@ def _class_in(module: ModuleType, name: str, *, where: str) -> type[Plugin]:
     if not name:
         if len(own) == 1:
             return next(iter(own.values()))
-        found_here = (
-            f"the module holds {len(own)} plugins"
-            if own
-            else "the module holds no class that derives from Profiler or System"
-        )
-        raise PluginError(found_here, where=where, fix=f"Name one: {where}:{next(iter(own), 'MyPlugin')}.")
+        there = f"{len(own)} plugins" if own else "no class that derives from Profiler or System"
+        fix = f"Name one: {where}:{next(iter(own), 'MyPlugin')}."
+        raise PluginError(f"the module holds {there}", where=where, fix=fix)
     found = getattr(module, name, None)
     if found is None:
         raise PluginError(f"the module has no class {name!r}", where=where, fix=did_you_mean(name, own))
     if not (isinstance(found, type) and issubclass(found, Plugin)):
-        raise PluginError(
-            f"{name} is not a plugin", where=where, fix="Derive it from robot_runner.plugins.Profiler or .System."
-        )
+        fix = "Derive it from robot_runner.plugins.Profiler or .System."
+        raise PluginError(f"{name} is not a plugin", where=where, fix=fix)
     return found
 
 

@@ -46,7 +46,6 @@ class Member:
         resources: those that it was started with, as in `--resources "robot:alice=1"`.
         id: of its part in the experiment: another worker at the same address has another id, and so has this worker
             when it joins again after it was lost.
-        host: the name of its machine.
         renewed: when it was asked last to renew its lease, s on the monotonic clock.
     """
 

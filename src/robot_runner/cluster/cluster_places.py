@@ -15,13 +15,7 @@ from typing import Any
 from robot_runner.cluster.cluster_checks import cluster_settings
 from robot_runner.cluster.experiment_snapshot import snapshot_of
 from robot_runner.cluster.piped_process import PipedProcess
-from robot_runner.cluster.run_at_worker import (
-    LOOK_AT_ROBOT,
-    ClusterPlace,
-    RunAtWorker,
-    may_be_left_moving,
-    resource_of,
-)
+from robot_runner.cluster.run_at_worker import LOOK_AT_ROBOT, ClusterPlace, RunAtWorker, may_be_left_moving, resource_of
 from robot_runner.core.config.experiment import Experiment
 from robot_runner.core.errors import ExecutionError, Finding
 from robot_runner.core.execution.left_processes import MARK_OF_ELSEWHERE, RunsElsewhere, forget_runs_elsewhere
@@ -47,10 +41,6 @@ _MOST_KNOWN = 8
 
 class ClusterPlaces:
     """All places of an experiment that the workers of a cluster are: one for each thread of a worker.
-
-    Args:
-        experiment: what is executed.
-        address: of the scheduler, as in `tcp://scheduler:8786`.
 
     Raises:
         ExecutionError: the experiment cannot travel to other machines.
@@ -292,11 +282,7 @@ class ClusterPlaces:
                 alike.setdefault((each, mend), []).append(where)
         latest = list(alike.items())[-_MOST_KNOWN:]
         known = "; ".join(str(Finding.warning(listed(wheres), *each)) for each, wheres in latest)
-        return ExecutionError(
-            f"{problem}{f' ({known})' if known else ''}",
-            where=f"cluster {self._address}",
-            fix=fix,
-        )
+        return ExecutionError(f"{problem}{f' ({known})' if known else ''}", where=f"cluster {self._address}", fix=fix)
 
     def _facts(self) -> dict[str, Any]:
         experiment = self._experiment

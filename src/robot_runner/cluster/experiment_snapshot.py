@@ -41,17 +41,10 @@ _TREES_FIX = "Have XDG_CACHE_HOME be a folder that workers see as well, and star
 
 
 def snapshot_of(experiment: Experiment) -> dict[str, Any]:
-    """Return an experiment as plain data.
-
-    Raises:
-        ExecutionError: it cannot be sent: its config is in no file.
-    """
+    """Return an experiment as plain data; raise an `ExecutionError` if it cannot be sent: its config is in no file."""
     if experiment.kept != "file":
-        raise ExecutionError(
-            "the config stands in no file, and cannot travel to the workers of a cluster",
-            where=experiment.class_name,
-            fix="Write the class to a file and give its path.",
-        )
+        problem = "the config stands in no file, and cannot travel to the workers of a cluster"
+        raise ExecutionError(problem, where=experiment.class_name, fix="Write the class to a file and give its path.")
     batches = journal_lines(experiment.folder.journal, kinds=GROWTH) if experiment.folder.journal.exists() else ()
     robot, name = experiment.parameters.robot, experiment.parameters.experiment_name
     manifest = experiment.folder.manifest
@@ -79,9 +72,7 @@ def snapshot_of(experiment: Experiment) -> dict[str, Any]:
 def experiment_of(snapshot: Mapping[str, Any], folder: Path) -> Experiment:
     """Return the experiment of a snapshot, to be executed on this worker.
 
-    Args:
-        snapshot: what `snapshot_of` returned.
-        folder: the worker's own, for the config and all that a run writes.
+    `folder` is the worker's own, for the config and all that a run writes.
 
     Raises:
         ConfigError: the config cannot be loaded here, has other values, or lacks what it needs; carries every finding.
@@ -123,13 +114,12 @@ def texts_here(snapshot: Mapping[str, Any], experiment: Experiment) -> dict[str,
         for text in snapshot["treatments"].get(factor.name, ()):
             if factor.position_of_text(text) is not None:
                 continue
-            moved = [
-                each for old, new in folders if factor.position_of_text(each := text.replace(old, new)) is not None
-            ]
-            if not moved:
+            candidates = (text.replace(old, new) for old, new in folders)
+            moved = next((each for each in candidates if factor.position_of_text(each) is not None), None)
+            if moved is None:
                 problem = f"treatment {text!r} is not there when the config is loaded on this worker"
                 raise ConfigError(problem, where=f"factor {factor.name!r}", fix=_TREATMENTS_FIX)
-            differing.setdefault(factor.name, {})[text] = moved[0]
+            differing.setdefault(factor.name, {})[text] = moved
     return differing
 
 
@@ -157,9 +147,8 @@ def _spellings(config: Path) -> tuple[Path, Path]:
 def inputs_of(kept: Path, folder: Path) -> Iterator[None]:
     """While this lasts, the experiment reads the copies that were sent with it instead of files of this machine.
 
-    Args:
-        kept: the experiment's folder of configs, or the part of it that was sent.
-        folder: as for `experiment_of`, and empty.
+    `kept` is the experiment's folder of configs, or the part of it that was sent; `folder`, as for `experiment_of`, is
+    empty.
 
     Raises:
         ConfigError: a file that is too large to be copied is missing or different here.

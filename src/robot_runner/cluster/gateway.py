@@ -56,8 +56,6 @@ _TOGETHER = 0.0005
 
 @dataclass(slots=True)
 class _Attempt:
-    """One attempt at a run, on its way."""
-
     order: dict[str, Any]
     member: cluster_members.Member
     future: Future | None = None
@@ -290,19 +288,18 @@ class Gateway:
         """Bring home what an attempt has left, and tell that it is over."""
         if "lost" in ended:
             if ended.get("is_unfit"):
-                told = {"worker": attempt.member.id, "because": ended["lost"]}
-                self._replies.tell("aside", told)
+                self._replies.tell("aside", {"worker": attempt.member.id, "because": ended["lost"]})
             await self._tell_lost(attempt, ended["lost"], is_certain=ended.get("is_certain", False))
             return
-        over = {name: ended[name] for name in ("because", "is_interrupted", "seconds")}
-        if ended.get("files"):
-            try:
+        try:
+            over = {name: ended[name] for name in ("because", "is_interrupted", "seconds")}
+            if ended.get("files"):
                 await self._brought_home(attempt, ended)
-            except StorageError as error:
-                over["because"] = f"what it has left could not be brought home: {error}"
-            except (TransferError, *cluster_members.ANSWER) as error:
-                await self._tell_lost(attempt, f"what it has left could not be brought home: {error}")
-                return
+        except StorageError as error:
+            over["because"] = f"what it has left could not be brought home: {error}"
+        except (TransferError, LookupError, TypeError, ValueError, *cluster_members.ANSWER) as error:
+            await self._tell_lost(attempt, f"what it has left could not be brought home: {error}")
+            return
         self._tell_over(attempt, over)
 
     async def _brought_home(self, attempt: _Attempt, ended: Mapping[str, Any]) -> None:

@@ -58,13 +58,9 @@ def describe() -> dict[str, Any]:
 def join(facts: Mapping[str, Any], dask_worker: Worker) -> dict[str, Any]:
     """Begin to take part in an experiment; an earlier part in the same one is ended first.
 
-    Args:
-        facts: `session`, the `id` of this worker's part in it, `snapshot`, `probe` with its `path` and
-            `digest`, `root` of the experiment's folder, `runs` in it, and `lease` in s.
-        dask_worker: given by Dask.
-
-    Returns:
-        whether the experiment's folder is shared with the orchestrator, and where the answer to its probe is.
+    `facts` are `session`, the `id` of this worker's part in it, `snapshot`, `probe` with its `path` and `digest`,
+    `root` of the experiment's folder, `runs` in it, and `lease` in s. Return name and digest of the `answer` to the
+    probe, if that is there.
     """
     leave(facts["session"])
     for name in _PROFILING & dask_worker.periodic_callbacks.keys():
@@ -150,8 +146,7 @@ def _sample_again() -> None:
 def execute(order: dict[str, Any]) -> None:
     """Execute one attempt at a run: a task of Dask. It sends messages under the topic, and returns nothing.
 
-    Args:
-        order: `session`, `token` of the attempt, the id of the `worker` that is meant, and the `task`.
+    `order` has `session`, `token` of the attempt, the id of the `worker` that is meant, and the `task`.
 
     Raises:
         RuntimeError: it is refused: another worker was meant, or this attempt was begun before.
@@ -200,7 +195,6 @@ class _Session:
         return answer.name, hashlib.sha256(content).hexdigest()
 
     def take_inputs(self, pieces: Sequence[tuple[str, bytes]]) -> None:
-        """Keep pieces of files below the folder of inputs."""
         for name, piece in pieces:
             path = self.folder / INPUTS / name
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -314,7 +308,6 @@ class _Session:
         return outbox / token / name if name else outbox / f"{token}.list"
 
     def discard(self, token: str) -> None:
-        """Remove what an attempt has left."""
         with self._lock:
             outbox = self._of_attempt.pop(token).folder / OUTBOX
         shutil.rmtree(outbox / token, ignore_errors=True)

@@ -23,12 +23,10 @@ from robot_runner.core.execution.run_records import RecordReader, RecordWriter
 class PipedProcess:
     """A fresh interpreter that executes a module of ours, and ends when its pipe of requests is closed.
 
+    The first arguments of the `module` are the descriptors of requests and replies; `words` follow.
+
     Attributes:
         descriptor: readable when there are replies, or the process has ended.
-
-    Args:
-        module: the one that it executes, with the descriptors of requests and replies as its first arguments.
-        words: the arguments after these.
     """
 
     def __init__(self, module: str, *words: str) -> None:
@@ -171,11 +169,7 @@ _FLUSHED = 5.0
 
 
 class Replies:
-    """The replies to the orchestrator; sending never blocks, as the orchestrator may be busy with a user's callback.
-
-    Args:
-        descriptor: of the pipe.
-    """
+    """The replies to the orchestrator; sending never blocks, as the orchestrator may be busy with a user's callback."""
 
     def __init__(self, descriptor: int) -> None:
         os.set_blocking(descriptor, False)

@@ -53,8 +53,7 @@ def open_up(path: Path) -> None:
 def listed_files(folder: Path) -> tuple[list[tuple[str, int, str]], list[str], list[str]]:
     """Return name, size and SHA-256 of each regular file of a folder, and the names of what else is there.
 
-    Returns:
-        The files; the names of links, pipes and devices; the names of files and folders that may not be read.
+    These are the names of links, pipes and devices, and those of files and folders that may not be read.
 
     Raises:
         OSError: something cannot be read for another reason.
@@ -94,11 +93,7 @@ def _paths(folder: Path) -> Iterator[Path]:
 async def bring_home(read: Read, ended: Mapping[str, Any], run: Path, root: Path) -> None:
     """Write all that an attempt has left on its worker into the run's folder.
 
-    Args:
-        read: gets a piece of a file from the worker.
-        ended: the worker's message about the end: `files`, `bytes`, and the length of the `list`.
-        run: the run's folder.
-        root: the experiment's.
+    `ended` is the worker's message about the end: `files`, `bytes`, and the length of the `list`.
 
     Raises:
         TransferError: the worker sends something else than it announced, or a name that leads elsewhere.

@@ -316,7 +316,6 @@ class _Builder(OutcomeBuilder):
     is_interrupted = False
 
     def outcome(self, *, ended_because: str = "", interrupted: bool = False) -> RunOutcome:
-        """Return how the attempt went."""
         self.ended_because, self.is_interrupted = ended_because, interrupted
         return super().outcome(ended_because=ended_because, interrupted=interrupted)
 
@@ -344,10 +343,8 @@ def _clear(folder: Path) -> None:
 def main(requests: int, writer: int, folder: Path) -> None:
     """Load the experiment of a session, and execute runs of it until the worker ends this.
 
-    Args:
-        requests: a descriptor from which the worker's orders are read.
-        writer: a descriptor that takes what is told to the worker.
-        folder: this process's own; that above it has the session's `snapshot.json`.
+    It reads orders from the descriptor `requests`, and tells the worker what it has to by `writer`. `folder` is its
+    own; that above it has the session's `snapshot.json`.
     """
     os.setsid()
     use_no_streams()

@@ -39,10 +39,8 @@ def described_versions() -> dict[str, Any]:
 def compared(here: Mapping[str, Any], there: Mapping[str, Any], worker: str) -> list[Finding]:
     """Return a finding for each difference that keeps a worker from being used.
 
-    Args:
-        here: what `described_versions` returns on the machine that starts the experiment.
-        there: what it returns on the worker.
-        worker: its name.
+    `here` is what `described_versions` returns where the experiment is started, `there` what it returns on the
+    `worker` of this name.
 
     Example:
         >>> here = {"python": "3.11", "packages": {"numpy": "2.1"}}

@@ -30,9 +30,7 @@ def open_door(
 ) -> tuple[Callable[[str], object], Callable[[], list[str]]]:
     """Return `__getattr__` and `__dir__` for a package.
 
-    Args:
-        door: the package's name.
-        prepare: called before a name is imported; may raise an ImportError that says what is missing.
+    `prepare` is called before a name is imported, and may raise an ImportError that says what is missing.
     """
     homes: dict[str, str] = {}
 

@@ -27,11 +27,7 @@ _METADATA = (".dist-info", ".egg-info")
 class EntryPoint:
     """One entry point of an installed package; nothing of the package is imported before `load`.
 
-    Args:
-        name: of the link, command, plugin and so on.
-        group: such as `robot_runner.links`.
-        value: `module:object`, or `module` alone.
-        distribution: returns the name and version of the package.
+    `value` is `module:object` or `module` alone; `distribution` returns the name and version of the package.
 
     Example:
         >>> EntryPoint("sqrt", "robot_runner.links", "math:sqrt", lambda: ("stdlib", "3")).load()(9)
@@ -137,10 +133,8 @@ _known_before: dict[str, tuple[str, str]] = {}
 def entry_points(group: str) -> list[EntryPoint]:
     """Return the entry points of a group, sorted by name, Robot Runner's own first.
 
-    If a package is on `sys.path` twice, the first one counts, as for an import.
-
-    Args:
-        group: its name after `robot_runner.`: `links`, `commands`, `profilers` and so on.
+    If a package is on `sys.path` twice, the first one counts, as for an import. `group` is its name after
+    `robot_runner.`, such as `links`.
     """
     full, seen, found = f"{_PREFIX}{group}", set(), []
     for entry in sys.path:

@@ -21,10 +21,10 @@ RobotRunnerError
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from enum import Enum
-from typing import Self
+from typing import Any, Self
 
 
 class Severity(Enum):
@@ -102,6 +102,15 @@ class RobotRunnerError(Exception):
         """Raise one error of all these findings; where there are none, do nothing."""
         if listed := tuple(findings):
             raise cls.of_findings(listed)
+
+    @classmethod
+    def raised_by(cls, call: Callable[..., object], *arguments: Any, **keywords: Any) -> tuple[Finding, ...]:
+        """Return the findings of such an error that a call raises; none where it returns."""
+        try:
+            call(*arguments, **keywords)
+        except cls as error:
+            return error.findings
+        return ()
 
     def __str__(self) -> str:
         head = f"{self.where}: {self.problem}" if self.where else self.problem

@@ -77,13 +77,7 @@ _IN_WORDS = {bool: "True or False", int: "a whole number", float: "a number", st
 
 
 class Mistyped(NamedTuple):
-    """An argument of another type than its parameter is annotated with.
-
-    Attributes:
-        name: of the parameter.
-        value: the argument.
-        types: those of the parameter.
-    """
+    """An argument of another type than its parameter is annotated with."""
 
     name: str
     value: Any

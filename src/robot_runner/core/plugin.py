@@ -98,6 +98,7 @@ class Plugin(Bindable):
         robot's namespace: the plugin's attribute `namespace`, if it has one.
 
         Example:
+            >>> from robot_runner.plugins import System
             >>> class Gripper(System):
             ...     def required_graph(self, circumstances):
             ...         yield GraphNeed.service("gripper/close", "std_srvs/Trigger", fix="Start the gripper's driver.")
@@ -111,6 +112,7 @@ class Plugin(Bindable):
         They are kept with the experiment and are part of its package; `robot_runner.plugins.input_file` finds them.
 
         Example:
+            >>> from robot_runner.plugins import System
             >>> class Map(System):
             ...     def input_files(self):
             ...         yield InputFile(self.path)
@@ -143,6 +145,7 @@ class Plugin(Bindable):
             `serial:/dev/ttyUSB0`, `device:camera 0`; none where any number of such runs may go on side by side.
 
         Example:
+            >>> from robot_runner.plugins import Profiler
             >>> class Scale(Profiler):
             ...     def claims(self, robot):
             ...         return ["serial:/dev/ttyUSB1"]
@@ -238,9 +241,7 @@ GROUPS: dict[str, type[Plugin]] = {"systems": System, "profilers": Profiler}
 def usual_origin(plugin: Plugin | None, *, is_simulated: bool) -> Origin:
     """Return the default origin of values: with a simulated robot, those of systems and of the config are simulated.
 
-    Args:
-        plugin: the publisher; None for the config. A profiler may measure something else than the robot.
-        is_simulated: whether the robot is simulated.
+    `plugin` publishes them; None is the config. A profiler may measure something else than the robot.
     """
     is_of_robot = plugin is None or isinstance(plugin, System)
     return Origin.SIMULATED if is_simulated and is_of_robot else Origin.MEASURED

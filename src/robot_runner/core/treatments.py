@@ -22,11 +22,7 @@ _GIVEN = "_robot_runner_given"
 
 
 class Treatment:
-    """A placeholder for the treatment of a factor, as the parameter of a plugin.
-
-    Attributes:
-        factor: the name of the factor.
-    """
+    """A placeholder for the treatment of the `factor` of this name, as the parameter of a plugin."""
 
     __slots__ = ("factor",)
 
@@ -40,11 +36,9 @@ class Treatment:
         return f"treatment({self.factor!r})"
 
     def _refuse(self) -> NoReturn:
-        raise PluginError(
-            f"{self!r} has no value before a run, so that nothing can be computed from it",
-            where="treatment",
-            fix=f"Make what you need the treatments of the factor {self.factor!r}, and give {self!r} alone.",
-        )
+        problem = f"{self!r} has no value before a run, so that nothing can be computed from it"
+        fix = f"Make what you need the treatments of the factor {self.factor!r}, and give {self!r} alone."
+        raise PluginError(problem, where="treatment", fix=fix)
 
     # By default these would return True, False and a name: a wrong value each.
 
@@ -103,19 +97,15 @@ class _Binding:
             PluginError: a treatment is in a set, is a key, or is the name.
             TypeError: the plugin has no such parameters.
         """
-        given = (*positional, *keywords.values())
-        if not any(map(_holds_treatment, given)):
+        if not any(map(_holds_treatment, (*positional, *keywords.values()))):
             return None
         factors: dict[str, str] = {}
         named = dict(_named(kind, positional, keywords))
         for name, value in named.items():
             factors |= {place: each.factor for place, each in _places(kind, name, value)}
         if "name" in factors:
-            raise PluginError(
-                f"the name of a plugin is the same in all runs, and is bound to the factor {factors['name']!r}",
-                where=kind.__name__,
-                fix="Give a name, or leave it out.",
-            )
+            problem = f"the name of a plugin is the same in all runs, and is bound to the factor {factors['name']!r}"
+            raise PluginError(problem, where=kind.__name__, fix="Give a name, or leave it out.")
         return cls(positional, dict(keywords), factors, named.get("name"))
 
     def arguments(self, combination: Mapping[str, Any]) -> tuple[list[Any], dict[str, Any]]:
@@ -307,9 +297,8 @@ def give_again(plugin: Bindable, changed: Mapping[str, Any]) -> None:
             raise PluginError(f"{name} is bound to the factor {factors[name]!r}", where=kind.__name__, fix=fix)
     if not all(map(str.isidentifier, given)):
         fix = "Give it a parameter by name for each thing, or leave it as it is."
-        raise PluginError(
-            "the plugin takes any number of values, and cannot be built again", where=kind.__name__, fix=fix
-        )
+        problem = "the plugin takes any number of values, and cannot be built again"
+        raise PluginError(problem, where=kind.__name__, fix=fix)
     made = kind(**{**given, **changed})
     vars(plugin).clear()
     vars(plugin).update(vars(made))

@@ -28,11 +28,8 @@ class CommandedRobot:
     velocities to which the robot subscribes, the run's link is a publisher, too, and commands zero when it is closed,
     which is after the software has ended. It does so even if no other publisher was seen: that of a program which
     commands once and ends, or dies after a second, is gone before it is discovered. If one was seen, zero has to
-    arrive, and if the run is killed, the process that stands by for it commands zero.
-
-    Args:
-        context: of the run; without a robot, or with the embedded one, which other programs cannot reach, nothing is
-            done.
+    arrive, and if the run is killed, the process that stands by for it commands zero. Without a robot, or with the
+    embedded one, which other programs cannot reach, nothing is done.
 
     Attributes:
         tell: called with each topic on which another publisher of velocities is seen, and its type.

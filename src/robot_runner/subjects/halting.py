@@ -51,11 +51,7 @@ _LOOK_AT_GUARDED = 1.0
 
 
 class CommandedTopics:
-    """A file beside one start of a program: which topics it commanded, and whether the robots were stopped since.
-
-    Args:
-        start: the start of the program.
-    """
+    """A file beside one start of a program: which topics it commanded, and whether the robots were stopped since."""
 
     def __init__(self, start: Start) -> None:
         self._path = start.folder / "commanded.jsonl"
@@ -128,10 +124,6 @@ class CommandedTopics:
 
 class Halting:
     """Has a process command zero once a start of a program has ended; the process outlives the one that started it.
-
-    Args:
-        start: of the program.
-        name: of the plugin that started it, for messages.
 
     Raises:
         PluginError: the system has no process left for it.
@@ -215,15 +207,9 @@ class Halting:
 def end_left_subjects(root: Path, may_command: Callable[[str], bool]) -> Iterator[Finding]:
     """End software for all runs that goes on because an execution was killed with all processes that would end it.
 
-    Robots that it commanded are stopped, unless that was done since.
-
-    Args:
-        root: the folder of that experiment.
-        may_command: whether a robot may be commanded now, by how it is reached. Software that has commanded only other
-            robots is left to the next experiment with these.
-
-    Yields:
-        what was done, or cannot be done; the latter only once.
+    Robots that it commanded are stopped, unless that was done since. `may_command` says whether a robot may be
+    commanded now, by how it is reached: software that has commanded only other robots is left to the next experiment
+    with these. Yield what was done, or cannot be done; the latter only once.
     """
     for folder in sorted(ExperimentFolder(root).subjects.glob("*")):
         start = last_start(folder)

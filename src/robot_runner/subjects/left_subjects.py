@@ -25,8 +25,7 @@ _OF_SSH = 255
 def tell_left_subjects(root: Path) -> Iterator[Finding]:
     """Yield a warning for each software for all runs that has commanded a robot which nobody has halted since.
 
-    Args:
-        root: the folder of the experiment, which nobody executes, and of which no process goes on.
+    Nobody executes the experiment, and none of its processes goes on.
     """
     for folder in sorted(ExperimentFolder(root).subjects.glob("*")):
         start = last_start(folder)
@@ -41,11 +40,6 @@ def tell_left_subjects(root: Path) -> Iterator[Finding]:
 
 def check_within_reach(name: str, start: Start, around: Surroundings) -> None:
     """Check that the program of a killed run does not go on commanding the robot on a computer that is out of reach.
-
-    Args:
-        name: of the plugin that started it.
-        start: the start of the program.
-        around: where it is executed.
 
     Raises:
         PluginError: it may go on, and has commanded the robot.

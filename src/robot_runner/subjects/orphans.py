@@ -52,10 +52,6 @@ def signal_stopped(locked: Path, number: signal.Signals) -> bool:
 def wake_supervisor(events: Path) -> bool:
     """Have the supervisor of a start go on where somebody has stopped it, as nobody else ends the program.
 
-    Args:
-        events: the file of its events, whose lock it holds.
-
-    Returns:
-        whether it was stopped.
+    It holds the lock of `events`. Return whether it was stopped.
     """
     return signal_stopped(events, signal.SIGCONT)

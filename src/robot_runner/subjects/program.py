@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import shlex
 import time
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from robot_runner.core.design.numeric_range import is_whole
 from robot_runner.core.errors import Finding, PluginError
 from robot_runner.core.events.context import RobotRunnerContext, SystemClock
 from robot_runner.core.events.measure import Measure, Origin
 from robot_runner.core.storage.input_files import InputFile
 from robot_runner.measuring.own_scripts import script_inputs, scripts_in, unread_findings
+from robot_runner.measuring.parameter_checks import checked_codes
 from robot_runner.subjects.subject import Subject
 from robot_runner.subjects.supervised_program import Ended
 from robot_runner.subjects.surroundings import holds_revision, is_known, word
@@ -55,11 +55,7 @@ class Program(Subject):
             fix = f"Give a list of words: {words!r}; or have a shell read it: ['sh', '-c', '...']."
             raise PluginError(f"command is {command!r}", where=self.name, fix=fix)
         self.command = tuple(command)
-        codes = exit_codes if isinstance(exit_codes, Collection) else [None]
-        if not all(map(is_whole, codes)):
-            fix = "Give a list of whole numbers: exit_codes=[0]."
-            raise PluginError(f"exit_codes is {exit_codes!r}", where=self.name, fix=fix)
-        self.exit_codes = tuple(exit_codes)
+        self.exit_codes = checked_codes(self.name, exit_codes)
         self._awaited_since: float | None = None
         self.words()  # finds invalid words before anything is executed
         if self.exit_codes and self._is_of_run:
@@ -153,10 +149,8 @@ class Program(Subject):
     def _doubt_what_went_astray(self, context: RobotRunnerContext, used: float, ended: Ended) -> None:
         fix = f"Measure all of them: PsUtil(host='localhost', processes=['subject:{self.name}'])."
         if ended.astray > max(_ASTRAY, _UNMEASURED * (used + ended.astray)):
-            problem = (
-                f"processes that {self.name} started and did not await used {ended.astray:.3g} s of CPU time, "
-                f"which CPUTime lacks"
-            )
+            astray = f"{ended.astray:.3g} s of CPU time"
+            problem = f"processes that {self.name} started and did not await used {astray}, which CPUTime lacks"
             context.doubt(problem, fix=fix, measures=["CPUTime"])
         if ended.uncounted:
             whose = "the kernel counts no CPU time of its children, which CPUTime lacks"

@@ -58,9 +58,8 @@ def _named_beside(path: Path) -> Iterator[Path]:
     folder, into = path.parent, Path()
     if path.suffix in _YAML:
         text = re.sub(r"(?m)(?:^|\s)#.*$", "", text)
-        names = [
-            part for each in _PLAIN.findall(text) for part in (each, each.partition(":")[0]) if set("./") & {*part}
-        ]
+        parts = (part for each in _PLAIN.findall(text) for part in (each, each.partition(":")[0]))
+        names = [part for part in parts if set("./") & {*part}]
     else:
         names = _QUOTED.findall(text)
     for name in names:

@@ -32,13 +32,7 @@ def checked_ready(plugin: str, ready: object) -> Condition | str | re.Pattern[st
 
 
 class TextInOutput(Condition):
-    """A line that a subject has written contains a text, or a match of a pattern.
-
-    Args:
-        name: the subject's.
-        start: which start of it.
-        wanted: a text or a compiled pattern.
-    """
+    """A line that a subject has written contains a text, or a match of a pattern."""
 
     every_s = 0.02  # the precision of StartupTime
 
@@ -88,11 +82,7 @@ class _Lines:
 class Ready(Condition):
     """A subject can be used, and has not died meanwhile.
 
-    Args:
-        name: the subject's.
-        start: which start of it.
-        wanted: the condition, as `checked_ready` returns it; None only requires that it was started.
-        may_end: whether it may have ended in this way by itself.
+    `wanted` is as `checked_ready` returns it; None only requires that it was started.
     """
 
     def __init__(
@@ -121,9 +111,8 @@ class Ready(Condition):
             ended = self._start.ended()
             seen = look_again()
             if ended is not None and not (seen.holds and self._may_end(ended)):
-                raise PluginError(
-                    self._start.death(self._name, ended), where=context.owner, fix="Execute it by hand to see why."
-                )
+                fix = "Execute it by hand to see why."
+                raise PluginError(self._start.death(self._name, ended), where=context.owner, fix=fix)
             return seen
 
         return look

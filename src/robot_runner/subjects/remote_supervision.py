@@ -42,7 +42,6 @@ class _Relay:
             signal.signal(number, self._take_signal)
 
     def relay(self) -> None:
-        """Do all of it."""
         try:
             self._ssh = subprocess.Popen(  # noqa: S603 - from `ssh_command`
                 self._task["ssh"],

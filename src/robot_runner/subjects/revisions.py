@@ -31,9 +31,6 @@ def _place(repository: str) -> str:
 class Repository:
     """A repository that revisions are taken from: a folder of this machine, or a URL.
 
-    Args:
-        place: as the config names it.
-
     Raises:
         ExecutionError: git is not installed, or there is no repository.
     """

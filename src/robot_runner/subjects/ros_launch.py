@@ -179,12 +179,9 @@ class RosLaunch(RosSubject):
             return
         known = _ARGUMENTS[ros].findall(described.said)
         for name in (each for each in self.arguments if each not in known):
-            problem, fix = (
-                f"the launch file takes no argument {name!r}: nothing would read it",
-                did_you_mean(name, known),
-            )
+            fix = did_you_mean(name, known)
             if ros == 1 or nearest(name, known):
-                yield Finding.error(where, problem, fix)
+                yield Finding.error(where, f"the launch file takes no argument {name!r}: nothing would read it", fix)
             else:  # `ros2 launch` sees no further than paths that are written out, and hands on every argument
                 problem = f"the launch file declares no argument {name!r}: only what it includes may read it"
                 yield Finding.warning(where, problem, fix)

@@ -208,9 +208,8 @@ def _flat(plugin: str, parameters: Mapping[str, Any], prefix: str = "") -> Itera
     for name, value in parameters.items():
         full = f"{prefix}{name}"
         if not _PARAMETER.fullmatch(full):
-            raise PluginError(
-                f"{full!r} is not the name of a parameter", where=plugin, fix="Use letters, digits and '_'."
-            )
+            fix = "Use letters, digits and '_'."
+            raise PluginError(f"{full!r} is not the name of a parameter", where=plugin, fix=fix)
         if isinstance(value, Mapping):
             yield from _flat(plugin, value, f"{full}.")
         elif _is_value(value):

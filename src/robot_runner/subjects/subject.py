@@ -26,6 +26,7 @@ from robot_runner.core.storage.layout import ExperimentFolder, user_folder
 from robot_runner.core.treatments import factors_of
 from robot_runner.measuring.host import SUBJECT_VARIABLE
 from robot_runner.measuring.measured_machine import machine_clock
+from robot_runner.measuring.parameter_checks import named_signal
 from robot_runner.subjects import supervised_program
 from robot_runner.subjects.commanded_robot import CommandedRobot
 from robot_runner.subjects.halting import CommandedTopics, Halting
@@ -104,7 +105,7 @@ class Subject(System):
         self.reads = tuple(word(self.name, each) for each in reads)
         self.ready = checked_ready(self.name, ready)
         self.ready_timeout_s = ready_timeout_s
-        self.stop_signal = supervised_program.named_signal(self.name, stop_signal)
+        self.stop_signal = named_signal(self.name, stop_signal)
         self.grace_s = grace_s
         self.is_for_all_runs = not self._is_of_run
         self.measures = type(self).measures if self._is_of_run else ()
@@ -180,11 +181,7 @@ class Subject(System):
             yield from missing_findings(where, map(self.surroundings.own_path, self.reads))
 
     def before_experiment(self, context: ExperimentContext) -> None:
-        """Start it, if it goes on through all runs.
-
-        Raises:
-            PluginError: it cannot be started.
-        """
+        """Start it, if it goes on through all runs; raise a `PluginError` if it cannot be started."""
         if self.per == "experiment":
             self._begin_for_all_runs(context)
 

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any, Self
 
-from robot_runner.core.errors import PluginError, StorageError, did_you_mean
+from robot_runner.core.errors import PluginError, StorageError
 from robot_runner.core.execution.processes import FEWER_PROCESSES, needed_process
 from robot_runner.core.links.commanded_topics import MAY_BE_MOVING
 from robot_runner.core.links.ssh_command import gist, remedy, ssh_command
@@ -126,8 +126,7 @@ class Ended:
 class Start:
     """The files of one start of a program; any process may read them while the program goes on.
 
-    Args:
-        folder: takes `stdout.txt`, `stderr.txt`, and the supervisor's `events.jsonl`.
+    They are `stdout.txt`, `stderr.txt`, and the supervisor's `events.jsonl`.
 
     Attributes:
         begun_at: when it was started, on the monotonic clock; on another computer, when that was reported.
@@ -222,12 +221,8 @@ class Start:
 class SupervisedProgram(Start):
     """A program that this process has started; its supervisor ends it with this process.
 
-    Args:
-        folder: for its output; made if it is missing.
-        task: what is started.
-        name: of the plugin, for messages.
-        begun: called with this, and the process id of the supervisor, which is always on this machine, before that
-            starts anything.
+    `begun` is called with this, and the process id of the supervisor, which is always on this machine, before that
+    starts anything.
 
     Raises:
         RobotRunnerError: it cannot be started.
@@ -334,22 +329,6 @@ def last_start(folder: Path) -> Start | None:
     """Return the last of the starts in a folder, which are numbered from 1; None where there is none."""
     starts = [path for path in folder.glob("*") if path.name.isdecimal()]
     return Start(max(starts, key=lambda path: int(path.name))) if starts else None
-
-
-def named_signal(plugin: str, wanted: object) -> signal.Signals:
-    """Return a signal that a config names, as a member of `signal.Signals` or by its name.
-
-    Raises:
-        PluginError: there is no such signal.
-    """
-    for each in signal.Signals:
-        if wanted == each:
-            return each
-    name = str(wanted).upper().removeprefix("SIGNAL.")
-    fix = did_you_mean(f"signal.{name}", [f"signal.{each.name}" for each in signal.Signals])
-    raise PluginError(
-        f"stop_signal is {wanted!r}, and Python's module signal has no such member", where=plugin, fix=fix
-    )
 
 
 @contextmanager

@@ -156,11 +156,7 @@ class Supervisor:
         self.say(gone=left)
 
     def start(self) -> None:
-        """Start the program.
-
-        Raises:
-            OSError: it cannot be started.
-        """
+        """Start the program; raise an `OSError` if it cannot be started."""
         task = self.task
         outputs = []
         for name, path in (("out", task["stdout"]), ("err", task["stderr"])):

@@ -83,11 +83,7 @@ class Surroundings:
         host: str | None,
         ssh_config: str | Path | None,
     ) -> Self:
-        """Return the surroundings that a config names.
-
-        Raises:
-            PluginError: a parameter is invalid.
-        """
+        """Return the surroundings that a config names; raise a `PluginError` if a parameter is invalid."""
         if folder is not None and not isinstance(folder, str | os.PathLike):
             fix = "Give a path, or bind it to Factor.revisions(...)."
             raise PluginError(f"folder is {folder!r}", where=plugin, fix=fix)
@@ -298,10 +294,7 @@ def _quoted(path: str) -> str:
 def started_once_findings(where: str, factors: Collection[str], robots: Sequence[str]) -> Iterator[Finding]:
     """Yield why a subject that is started once for all runs cannot fit all of them.
 
-    Args:
-        where: the place that findings name.
-        factors: those to which its parameters are bound.
-        robots: how each of several robots that take turns is reached.
+    `factors` are those to which its parameters are bound; several robots take turns.
     """
     for factor in [*factors][:1]:
         problem = f"the subject is started once for all runs, and bound to the factor {factor!r}"

@@ -49,11 +49,7 @@ def cache_folder() -> Path:
 class WorkTree:
     """A work tree of one commit of a repository, and what was built in it.
 
-    Args:
-        repository: a path or a URL.
-        commit: the hash.
-        build: a command for the shell; empty for none.
-        copy: a folder that may have a copy of the commit, for when the repository is not available any more.
+    `copy` is a folder that may have a copy of the commit, for when the repository is not available any more.
 
     Attributes:
         folder: of the work tree; another commit, repository or command has another one.
@@ -71,10 +67,7 @@ class WorkTree:
     def made(self, name: str, log: Path, workshop: Workshop) -> dict[str, Any]:
         """Make and build it, unless that was done before and nothing was changed since; return facts about the build.
 
-        Args:
-            name: the revision's, for messages.
-            log: gets a copy of what was printed.
-            workshop: of the experiment.
+        `log` gets a copy of what was printed; `name` is the revision's, for messages.
 
         Raises:
             ExecutionError: it cannot be made.
@@ -86,9 +79,8 @@ class WorkTree:
         with locked(lock, partial(_await_others, workshop)), storage_errors(self.folder, "written"):
             facts = self._built_before()
             if facts is None:
-                workshop.tell(
-                    f"Building {name} of {without_login(self.repository)}" if self._build else f"Fetching {name}"
-                )
+                repository = without_login(self.repository)
+                workshop.tell(f"Building {name} of {repository}" if self._build else f"Fetching {name}")
                 facts = self._made_anew(name, workshop)
             if self._build:
                 root = workshop.logs.parent
@@ -249,11 +241,8 @@ def is_kept(target: Path, clones: Mapping[str, Path]) -> bool:
     """Make a copy of some commits, unless there is one; return whether there is one now.
 
     There is none where the commits are too large, or have submodules, which are commits of other repositories, or files
-    in Git LFS, whose pointers alone are in the commits.
-
-    Args:
-        target: the folder of the copy, a bare repository.
-        clones: a repository with each commit, by its hash.
+    in Git LFS, whose pointers alone are in the commits. `target` is to be a bare repository; `clones` has a repository
+    with each commit, by its hash.
     """
     try:
         if target.is_dir() and all(_worked(target, "cat-file", "-e", f"{commit}^{{commit}}") for commit in clones):
@@ -279,26 +268,15 @@ def take_over(kept: Path, target: Path, *, digits: int) -> None:
     """Make a repository of the user's own with the commits of a copy, such as one in a package.
 
     Git refuses to clone a repository in a folder of another user, as its configuration may name programs. So only
-    commits are taken from it, and the branches that lead to them.
-
-    Args:
-        kept: the copy.
-        target: the folder of the new one.
-        digits: of the hashes of its commits.
+    commits are taken from it, and the branches that lead to them. The hashes of its commits have so many `digits`.
 
     Raises:
         OSError: git is not installed, or the repository cannot be written.
         StorageError: something in the copy is not a regular file.
     """
     target.mkdir(parents=True)
-    git(
-        "init",
-        "-q",
-        "--bare",
-        "--template=",
-        f"--object-format={'sha1' if digits == _SHA1 else 'sha256'}",
-        folder=target,
-    )
+    kind = "sha1" if digits == _SHA1 else "sha256"
+    git("init", "-q", "--bare", "--template=", f"--object-format={kind}", folder=target)
     places = [kept / name for name in ("HEAD", "packed-refs", "shallow")]
     places += [path for name in ("objects", "refs") for path in sorted((kept / name).rglob("*"))]
     for path in places:

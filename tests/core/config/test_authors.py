@@ -80,3 +80,10 @@ def test_what_cannot_be_is_refused(write_config, line, where):
     preparation = prepare(write_config(line))
     assert preparation.experiment is None
     assert preparation.findings[0].where.endswith(where)
+
+
+def test_a_class_that_adds_to_authors_may_have_attributes_of_its_own() -> None:
+    class Student(Author):
+        __slots__ = ("number",)
+
+    assert Student("Josiah Carberry", affiliation="Brown University").affiliation == "Brown University"

@@ -494,3 +494,16 @@ def test_a_config_that_returns_a_planned_table_gets_its_order(write_config: Writ
     if model.seed_is_given:
         expected = RunTableModel([Factor("x", range(8))], shuffle=True, seed=model.seed).plan()
         assert [run.combination["x"] for run in model.plan()] == [run.combination["x"] for run in expected]
+
+
+@pytest.mark.parametrize("table", ['[Factor("batch", [1, 2])]', '[Factor("F", [1, 2])], data_columns=["batch"]'])
+def test_a_factor_or_measure_in_the_place_of_the_column_of_batches_is_told_before_it_is_executed(
+    write_config: Write, table: str
+) -> None:
+    """Once the runs are done, `extend` would refuse the experiment."""
+    (found,) = findings_of(write_config(table=f"    def create_run_table(self): return RunTableModel({table})"))
+    assert not found.is_error
+    assert found.problem == "robot-runner extend adds a column 'batch', and refuses an experiment that has one already"
+    assert not findings_of(
+        write_config(table='    def create_run_table(self): return RunTableModel([Factor("Batch", [1, 2])])')
+    )

@@ -332,6 +332,19 @@ def test_treatments_of_a_factor_that_the_config_alone_has_are_no_slip() -> None:
         extended(RunTableModel([TASK]), Additions(treatments={"Floor": ["stone"]}), config=now)
 
 
+def test_a_factor_whose_name_has_blanks_is_quoted_as_a_shell_takes_it() -> None:
+    now = RunTableModel([TASK, Factor("Floor type", ["thick carpet", "wood"])])
+    with pytest.raises(DesignError, match="Say it: --factor 'Floor type=DEFAULT'"):
+        extended(RunTableModel([TASK]), Additions(), config=now)
+    with pytest.raises(DesignError, match="--factor 'Floor type=DEFAULT'"):
+        extended(RunTableModel([TASK]), Additions(treatments={"Floor type": ["stone"]}), config=now)
+    new = Additions(factors={"Floor type": NewFactor("thick carpet")})
+    with pytest.raises(DesignError, match=r"Give others: --factor 'Floor type=thick carpet:OTHER,\.\.\.'"):
+        extended(RunTableModel([TASK]), new)
+    with pytest.raises(DesignError, match=r"Add treatments to it: --treatments 'Floor type=\.\.\.'"):
+        extended(now, new)
+
+
 def test_a_factor_that_counts_repetitions_gets_treatments() -> None:
     model = RunTableModel([TASK, Factor("Repetition", [1, 2])])
     (problem,) = findings(model, Additions(3))

@@ -91,6 +91,15 @@ class _Mode(str, Enum):  # noqa: UP042 - as it was written before Python 3.11, w
     FAST = "fast"
 
 
+def test_a_text_that_is_a_whole_file_is_refused_with_where_to_write_it() -> None:
+    """The journal shortened one of 16 MB in silence; forty of 9 MB made a run table that nothing could read again."""
+    assert as_measure_value("Log", "x" * 1_000_000, where="Chatty") == "x" * 1_000_000
+    with pytest.raises(MeasureError, match="'Log' got a text of 1,000,001 characters") as refused:
+        as_measure_value("Log", "x" * 1_000_001, where="Chatty")
+    assert "raw_data_folder" in str(refused.value)
+    assert len(str(refused.value)) < 300
+
+
 def test_a_text_of_another_class_becomes_the_plain_text_that_it_is() -> None:
     numpy = pytest.importorskip("numpy")
     for value in (_Mode.FAST, numpy.str_("fast")):

@@ -239,7 +239,7 @@ def test_after_a_reboot_the_clock_of_time_stamps_tells_whether_an_experiment_goe
     mark.write_bytes(RunsElsewhere("cluster tcp://scheduler:8786", 33.0).content())
     renew_mark(mark, folder)
     os.utime(mark, times=(0.0, 0.0))  # by the clock as it was set before
-    monkeypatch.setattr("robot_runner.core.execution.left_processes._boot", lambda: "another one")
+    monkeypatch.setattr("robot_runner.core.execution.left_processes.this_boot", lambda: "another one")
     assert goes_on(tmp_path)
     wall = time.time
     monkeypatch.setattr(time, "time", lambda: wall() + 34.0)

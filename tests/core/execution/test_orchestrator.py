@@ -3,7 +3,7 @@ from __future__ import annotations
 import re
 import signal
 from collections.abc import Callable
-from itertools import pairwise
+from itertools import chain, pairwise, repeat
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -12,7 +12,7 @@ from tests.core.execution.conftest import execute_in
 from tests.long_cases import soak_but
 
 from robot_runner.core.errors import ExecutionError
-from robot_runner.core.execution import run_facts
+from robot_runner.core.execution import processes, run_facts
 from robot_runner.core.execution.processes import children
 
 if TYPE_CHECKING:
@@ -323,6 +323,7 @@ def test_a_measure_that_nobody_gave_is_missing_and_said_to_be(execute: Execute) 
         ("os._exit(3)", "the run's process exited with code 3"),
         ("os._exit(0)", "the run's process exited with code 0 before the run had ended"),
         ("os.kill(os.getpid(), 9)", "the run's process was killed by SIGKILL"),
+        ("os.kill(os.getpid(), 40)", "the run's process was killed by signal 40"),
         ("faulthandler.disable(); os.abort()", "the run's process was killed by SIGABRT"),
         ("sys.exit(4)", "SystemExit: 4"),
     ],
@@ -338,6 +339,26 @@ def test_a_run_whose_process_dies_fails_with_the_cause(execute: Execute, death: 
     assert [row["status"] for row in executed.table] == ["Failed", "Done", "Done", "Done"]
     assert executed.finished.failures == (
         f"r_1: launch_mission{' of config' if 'SystemExit' in reason else ''}: {reason}",
+    )
+
+
+@pytest.mark.long
+def test_a_run_that_was_killed_while_the_system_lacked_memory_says_so(
+    execute: Execute, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    kills = chain([4], repeat(5))  # one more while the first run was executed
+    monkeypatch.setattr(processes, "memory_kills", lambda: next(kills))
+    executed = execute(
+        """
+        def launch_mission(self, context):
+            import os
+            if context.run_number < 3: os.kill(os.getpid(), 9)
+        """
+    )
+    killed = "launch_mission: the run's process was killed by SIGKILL"
+    assert executed.finished.failures == (
+        f"r_1: {killed} (meanwhile the system killed a process for lack of memory)",
+        f"r_2: {killed}",
     )
 
 

@@ -10,13 +10,17 @@ import pytest
 from tests.conftest import HEAD
 
 from robot_runner.core.config.preparation import prepare_or_refuse
+from robot_runner.core.design.factor import Factor
+from robot_runner.core.design.run_table_model import RunTableModel
 from robot_runner.core.errors import ExecutionError, Finding, StorageError
 from robot_runner.core.execution import manifest_content
 from robot_runner.core.execution.notices import SilentObserver
 from robot_runner.core.execution.orchestrator import execute_experiment
-from robot_runner.core.execution.resumption import Resumption, TableChoice, config_changes
+from robot_runner.core.execution.resumption import Resumption, TableChoice, config_changes, table_differences
 from robot_runner.core.storage.guarded_files import replace
 from robot_runner.core.storage.journal import read_journal
+from robot_runner.core.storage.run_table_rows import RunTableRows
+from robot_runner.core.storage.table_columns import TableLayout
 
 Execute = Callable[..., Any]
 Write = Callable[..., Path]
@@ -350,6 +354,51 @@ def test_a_table_that_differs_from_the_plan_is_refused_cell_by_cell(execute: Exe
     assert finding.problem == "the table has 'Network', the plan 'Video'"
     assert "Undo the change" in finding.fix
     assert path.exists()
+
+
+def test_many_runs_that_differ_from_the_plan_alike_are_told_once_and_by_their_names(tmp_path: Path) -> None:
+    def model(*tasks: str) -> RunTableModel:
+        return RunTableModel([Factor("Task", list(tasks)), Factor("N", list(range(100)))], data_columns=[])
+
+    def named(first: int) -> str:
+        return ", ".join(f"r_{number}" for number in range(first, first + 20)) + " and 80 more"
+
+    planned, path = model("a", "c").plan(), tmp_path / "run_table.csv"
+    rows = RunTableRows.of_plan(model("a", "b").plan(), TableLayout.of_model(model("a", "b"), ()))
+    (changed,) = table_differences(path, planned, rows)
+    assert changed.where == f"{path}, each of 100 runs, column 'Task'"
+    assert changed.problem == f"the table has 'b', the plan 'c' ({named(101)})"
+    (lacking,) = table_differences(path, model("a", "b", "c").plan(), rows)
+    assert lacking.where == f"{path}, each of 100 runs"
+    assert lacking.problem == f"the table lacks this run of the plan ({named(201)})"
+
+
+def test_runs_that_differ_from_the_plan_in_several_ways_are_all_named(tmp_path: Path) -> None:
+    """As where some treatments were edited by hand."""
+    model = RunTableModel([Factor("N", list(range(100)))], data_columns=[])
+    edited = list(model.plan())
+    for place in range(7):
+        edited[place] = edited[place]._replace(combination=edited[99 - place].combination)
+    rows = RunTableRows.of_plan(edited, TableLayout.of_model(model, ()))
+    found = list(table_differences(tmp_path / "run_table.csv", model.plan(), rows))
+    assert [each.where for each in found] == [
+        f"{tmp_path / 'run_table.csv'}, run r_{number}, column 'N'" for number in range(1, 8)
+    ]
+
+
+def test_a_changed_value_is_told_whatever_lines_have_changed(
+    write_config: Write, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As a variable of the environment that is set to another value, beside a line that looks like it."""
+    config = write_config(f"import os\nsample_rate = 1\nrate = int(os.environ['RATE'])\n{COUNTING}")
+    monkeypatch.setenv("RATE", "1")
+    resume(config)
+    monkeypatch.setenv("RATE", "10")
+    config.write_text(
+        config.read_text(encoding="utf-8").replace("sample_rate = 1", "sample_rate = 100"), encoding="utf-8"
+    )
+    told = {each.where: each.problem for each in config_changes(prepare_or_refuse(config))}
+    assert told[f"{config}, rate"] == "the value was 1 and is 10"
 
 
 def test_a_plan_that_is_another_in_each_process_is_told_to_be(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -10,10 +11,17 @@ from tests.long_cases import soak_but
 
 from robot_runner import ConfigError, Robots
 from robot_runner.core.config.preparation import prepare
+from robot_runner.core.design.factor import Factor
+from robot_runner.core.design.run_table_model import RunTableModel
+from robot_runner.core.events.measure import ROBOT
 from robot_runner.core.execution.durations import Durations, TimeLeft
 from robot_runner.core.execution.resumption import Resumption
+from robot_runner.core.execution.side_by_side import _Turns
+from robot_runner.core.execution.task import AttemptStatus
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.manifest import read_manifest
+from robot_runner.core.storage.run_table_rows import RunTableRows
+from robot_runner.core.storage.table_columns import TableLayout
 from robot_runner.core.storage.table_schema import read_schema
 
 if TYPE_CHECKING:
@@ -136,6 +144,35 @@ def test_a_robot_that_fails_again_and_again_is_set_aside_and_its_runs_go_to_the_
     assert ".. It takes part" not in told
     assert "the wheel is gone" in told
     assert [record["place"] for record in executed.journal("set_aside")] == ["bob"]
+
+
+def test_a_robot_that_fails_one_treatment_takes_no_more_than_its_share_of_that() -> None:
+    """It fails sooner than others drive, and succeeds in between: it would take, and lose, most of these runs."""
+    model = RunTableModel([Factor("Speed", [1, 2])], repetitions=4, data_columns=[])
+    rows = RunTableRows.of_plan(model.plan(), TableLayout.of_model(model, (ROBOT,)))
+    alice, bob = SimpleNamespace(name="alice"), SimpleNamespace(name="bob")
+    turns, task = _Turns(), SimpleNamespace(combination={"Speed": 1}, repetition=1)
+    turns.plan(rows, range(len(rows)))
+    for status, is_lost in (("FAILED", False), ("INTERRUPTED", False), ("FAILED", True), ("FAILED", False)):
+        assert turns.choose(task, [bob], 2) is bob
+        turns.begin(task, bob)
+        outcome = SimpleNamespace(status=AttemptStatus[status], is_lost=is_lost)
+        turns.end(SimpleNamespace(), task, bob, outcome, 1)
+    assert turns.choose(task, [bob], 2) is None
+    assert turns.choose(task, [alice, bob], 2) is alice
+
+
+@pytest.mark.long
+def test_a_robot_that_fails_now_and_then_takes_its_share_of_further_repetitions_alone(
+    execute: Callable[..., Any],
+) -> None:
+    head = HEAD.replace("if context.robot.ends", "if context.repetition in {7, 8, 10, 11, 14} and context.robot.ends")
+    head = head.replace('"Energy": context.run_seed', '"Energy": context.run_seed % 97').replace("0.3 if", "0.05 if")
+    table = TABLE.replace("[1, 2]", "[1]").replace("repetitions=4", "repetitions=5")
+    until = 'repeat_until = Precision("Energy", half_width="0.1 %", at_most=16)'
+    executed = execute(until, head=head, table=table, broken="bob")
+    assert shares(executed) == {("1", "alice"): 8, ("1", "bob"): 8}
+    assert {row["Robot"] for row in executed.table if row["status"] == "Failed"} == {"bob"}
 
 
 @pytest.fixture

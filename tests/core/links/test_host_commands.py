@@ -198,6 +198,21 @@ def test_files_and_folders_are_copied_whole(host: HostCommands, tmp_path: Path) 
         host.copy_to(tmp_path / "nothing", f"{tmp_path}/x")
 
 
+def test_a_source_that_cannot_be_read_whole_is_told_and_what_stands_there_stays(
+    context: RobotRunnerContext, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def shrinks(*_: object) -> None:
+        raise OSError("unexpected end of data")  # as of a log that is rotated meanwhile
+
+    monkeypatch.setattr(host_commands, "pack", shrinks)
+    (tmp_path / "new.log").write_text("new")
+    (tmp_path / "old.log").write_text("old")
+    local = opened_host({"here": Host(address="local")}, "here", context)
+    with pytest.raises(LinkError, match=r"new\.log was not copied to .*old\.log: unexpected end of data"):
+        local.copy_to(tmp_path / "new.log", f"{tmp_path}/old.log")
+    assert (tmp_path / "old.log").read_text() == "old"
+
+
 def test_files_are_fetched_under_their_own_paths(
     host: HostCommands, context: RobotRunnerContext, tmp_path: Path
 ) -> None:

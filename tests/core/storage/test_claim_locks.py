@@ -9,6 +9,7 @@ import resource
 import subprocess
 import sys
 from pathlib import Path
+from urllib.parse import quote
 
 import pytest
 
@@ -224,3 +225,45 @@ def test_a_claim_whose_file_names_a_folder_that_cannot_be_looked_at_can_be_held(
     assert claiming_folders() == []
     with HeldClaims(["host:pi"], "second", tmp_path) as held:
         assert held.findings == []
+
+
+def _holding_under_another_name() -> subprocess.Popen[str]:
+    """Start an experiment as a machine does whose name was another one, by DHCP say, and which holds its claims."""
+    script = f"import socket; socket.gethostname = lambda: 'dhcp-77'\n{HOLDING}"
+    first = subprocess.Popen([sys.executable, "-c", script], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+    assert first.stdout is not None
+    assert first.stdout.readline() == "held\n"
+    return first
+
+
+def test_what_this_machine_has_claimed_under_another_name_is_refused() -> None:
+    """Two experiments commanded one robot where the name of the machine had changed between their starts."""
+    first = _holding_under_another_name()
+    try:
+        for claim, said in (("robot:ros2://alice", ""), ("robot:ros2://alice/arm", "may be one robot with robot:")):
+            with pytest.raises(ExecutionError, match=f"{said}.*in use by the experiment 'first'"):
+                HeldClaims([claim], "second", Path("second")).__enter__()
+        assert claim_holders(["robot:ros2://alice"])["robot:ros2://alice"].pid == first.pid
+    finally:
+        first.kill()
+        first.communicate()
+    with HeldClaims(["robot:ros2://alice"], "second", Path("second")) as held:
+        assert held.findings == []
+    left = HeldClaims(["robot:ros2://alice"], "second", Path("second"), goes_on=lambda _: True)
+    with pytest.raises(ExecutionError, match="remaining processes of the experiment 'first'"), left:
+        pass
+
+
+@pytest.mark.parametrize("machine", ["8f4c net:[4026531840]", "", None], ids=["another", "unknown", "not told"])
+def test_what_another_machine_of_a_shared_home_has_claimed_is_its_own(machine: str | None) -> None:
+    """Each has a /dev/ttyUSB0. Neither their names nor their ids need differ: cards are copied with /etc/machine-id."""
+    first = _holding_under_another_name()
+    try:
+        path = state_folder("claims").parent / "dhcp-77" / quote("serial:/dev/ttyUSB0", safe="")
+        said = {name: value for name, value in json.loads(path.read_text()).items() if name != "machine"}
+        path.write_text(json.dumps(said if machine is None else {**said, "machine": machine}))
+        with HeldClaims(["serial:/dev/ttyUSB0"], "second", Path("second")) as held:
+            assert held.findings == []
+    finally:
+        first.kill()
+        first.communicate()

@@ -15,7 +15,7 @@ from robot_runner.core.storage import run_table_reading
 from robot_runner.core.storage.cells import RunStatus
 from robot_runner.core.storage.run_table_reading import LARGEST, read_run_table
 from robot_runner.core.storage.run_table_rows import RunTableRows, table_text, write_run_table
-from robot_runner.core.storage.table_columns import FactorColumn, TableLayout
+from robot_runner.core.storage.table_columns import EARLIER_SPELLING, FactorColumn, TableLayout
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -86,6 +86,52 @@ def test_decimal_commas_are_read_between_semicolons(tmp_path: Path) -> None:
     layout = TableLayout.of_model(RunTableModel([SPEED]), ["Energy"], {"Energy": "number"})
     rows = read(tmp_path, "run_id;Speed;Energy\nr_1;0,1;877,5\n", layout)
     assert (rows.row(0)["Speed"], rows.row(0)["Energy"]) == (0.1, 877.5)
+
+
+@pytest.mark.parametrize("line", ["sep=;", "SEP=,", "sep=\t", '"sep=;"', "sep=,,", "sep=;,,,", '"sep=,",,'])
+def test_a_first_line_for_excel_is_told_to_be_deleted(tmp_path: Path, line: str) -> None:
+    """The report's scripts in R and Python read the same file, and would take it for the headings."""
+    (told,) = findings_of(tmp_path, f"{line}\nTask;Energy\nVideo;1\n")
+    fix = "Delete this line: other programs read it as the headings."
+    assert told == f"run_table.csv: the line {line.strip()!r} above the headings is for Excel alone → {fix}"
+
+
+def test_headings_that_r_spells_are_understood(tmp_path: Path) -> None:
+    """As `read.csv` makes them, unless `check.names = FALSE` is said; the spellings are those of `make.names`."""
+    spelt = {"Light level": "Light.level", "2nd run": "X2nd.run", "Energy (J)": "Energy..J.", "größe": "größe"}
+    spelt |= {"cpu %": "cpu..", "_a": "X_a", ".5x": "X.5x", ".ok": ".ok", "a-b": "a.b", "R²": "R."}
+    factors, measures = ["Light level", "2nd run"], [*spelt][2:]
+    model = RunTableModel([Factor(name, [0, 1]) for name in factors])
+    layout = TableLayout.of_model(model, measures, dict.fromkeys(measures, "number"))
+    text = ",".join(["run_id", *spelt.values(), "my.note"]) + "\n" + ",".join(["r_1", *"0103456789", "x"]) + "\n"
+    rows = read(tmp_path, text, layout)
+    assert dict(rows.combination(0)) == {"Light level": 0, "2nd run": 1}
+    assert [rows.row(0)[name] for name in measures] == [0, 3, 4, 5, 6, 7, 8, 9]
+    assert rows.layout.extras == ("my.note",)
+
+
+def test_headings_that_r_spells_alike_are_told_apart_by_its_numbers(tmp_path: Path) -> None:
+    """In the order of the file, and first those that R leaves as they are; `make.names(unique = TRUE)` spells them."""
+    measures = ["Energy (J)", "Energy [J]", "CPU %", "CPU #", "x y", "x-y", "x.y.1", "a b", "a.b"]
+    measures += ["TRUE", "if", "% cpu"]
+    spelt = ["Energy..J.", "Energy..J..1", "CPU..", "CPU...1", "x.y", "x.y.2", "x.y.1", "a.b.1", "a.b"]
+    spelt += ["TRUE.", "if.", "X..cpu"]
+    layout = TableLayout.of_model(RunTableModel([SPEED]), measures, dict.fromkeys(measures, "number"))
+    cells = map(str, range(len(measures)))
+    rows = read(tmp_path, f"run_id,Speed,{','.join(spelt)}\nr_1,0.1,{','.join(cells)}\n", layout)
+    assert [rows.row(0)[name] for name in measures] == [*range(len(measures))]
+    assert rows.layout.extras == ()
+    earlier = TableLayout.of_model(RunTableModel([SPEED]), ["CPU %"], {"CPU %": "number"}, EARLIER_SPELLING)
+    rows = read(tmp_path, "X__run_id,X__done,Speed,CPU..\nr_1,DONE,0.1,5\n", earlier)
+    assert (rows.run_id(0), rows.status(0), rows.row(0)["CPU %"]) == ("r_1", RunStatus.DONE, 5)
+
+
+def test_a_heading_that_is_a_column_of_its_own_is_no_other_ones_spelling(tmp_path: Path) -> None:
+    layout = TableLayout.of_model(RunTableModel([SPEED]), ["a b", "a.b"], {"a b": "number", "a.b": "number"})
+    rows = read(tmp_path, "run_id,Speed,a.b\nr_1,0.1,2\n", layout)
+    assert (rows.row(0)["a b"], rows.row(0)["a.b"]) == (None, 2)
+    rows = read(tmp_path, "run_id,Speed,a b,a.b\nr_1,0.1,1,2\n", layout)
+    assert (rows.row(0)["a b"], rows.row(0)["a.b"]) == (1, 2)
 
 
 def test_blank_lines_and_trailing_commas_are_no_runs(tmp_path: Path) -> None:

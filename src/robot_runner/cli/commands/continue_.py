@@ -22,13 +22,7 @@ def add_arguments(parser: Parser) -> None:
     """Add the command's arguments."""
     add_target(parser, is_the_only_one=True)
     add_set(parser)
-    parser.add_argument(
-        "--answer",
-        metavar="NAME=VALUE",
-        action="append",
-        default=[],
-        help="answer a question that the step asks, such as voltage=11.8; may be given several times",
-    )
+    parser.add_several("--answer", "NAME=VALUE", "answer a question that the step asks, such as voltage=11.8")
 
 
 def execute(arguments: Namespace) -> int:

@@ -6,7 +6,6 @@ as a serial line that belongs to a group which is not yours.
 
 from __future__ import annotations
 
-import grp
 import importlib.metadata
 import os
 import platform
@@ -95,9 +94,7 @@ class Diagnosis:
     """The diagnosis of one subject.
 
     Attributes:
-        area: what kind of thing it is.
         state: `ready`, `untried`, `absent` or `broken`.
-        detail: what is, in words.
         fix: one imperative; empty where there is nothing to do.
     """
 
@@ -140,12 +137,8 @@ def asked(
 ) -> Iterator[Diagnosis]:
     """Yield the diagnoses, in order; all are made at once, and again where there was no answer in time.
 
-    Each is asked in a thread of its own: drivers and daemons that hang are among what is looked for.
-
-    Args:
-        wanted: what is asked.
-        deadlines_s: how long answers may take at first, and those of what is asked once more; then it is broken.
-        tell: is told what is asked once more.
+    Each is asked in a thread of its own: drivers and daemons that hang are among what is looked for. The second
+    deadline is for what was silent until the first, which `tell` is told; then it is broken.
     """
     answers: queue.SimpleQueue[tuple[int, Diagnosis]] = queue.SimpleQueue()
     found: dict[int, Diagnosis] = {}
@@ -211,14 +204,10 @@ def _system() -> tuple[str, str, str]:
     system = platform.system()
     cores, usable = os.cpu_count() or 1, usable_cores()
     told = f"{platform.platform()}, {cores} cores" + (f", {usable} of them for this process" if usable < cores else "")
-    if system == "Linux":
-        return READY, told, ""
     if system == "Darwin":
-        return (
-            READY,
-            f"{told}: runs, robots over the network and serial meters work; what reads /proc or /sys does not",
-            "",
-        )
+        told += ": runs, robots over the network and serial meters work; what reads /proc or /sys does not"
+    if system in {"Darwin", "Linux"}:
+        return READY, told, ""
     return BROKEN, told, "Use Linux, macOS, or Windows' WSL 2."
 
 
@@ -328,8 +317,7 @@ def _devices(folder: Path, patterns: Sequence[str]) -> tuple[str, str, str]:
 
 
 def _group_of(path: Path) -> str:
-    number = path.stat().st_gid
     try:
-        return grp.getgrgid(number).gr_name
+        return path.group()
     except KeyError:
-        return str(number)
+        return str(path.stat().st_gid)

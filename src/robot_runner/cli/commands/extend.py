@@ -40,20 +40,12 @@ def add_arguments(parser: Parser) -> None:
         type=int,
         help="how often each combination is to be executed in the end, what is done included",
     )
-    parser.add_argument(
-        "--treatments",
-        metavar="FACTOR=T1,T2",
-        action="append",
-        default=[],
-        help="further treatments of a factor; may be given several times",
-    )
-    parser.add_argument(
+    parser.add_several("--treatments", "FACTOR=T1,T2", "further treatments of a factor")
+    parser.add_several(
         "--factor",
-        metavar="NAME=DEFAULT:T1,T2",
-        action="append",
-        default=[],
-        help="a new factor: the treatment that the runs so far had, then the others, which may be left out where "
-        "the config has them; may be given several times",
+        "NAME=DEFAULT:T1,T2",
+        "a new factor: the treatment that the runs so far had, then the others, which may be left out where "
+        "the config has them",
     )
     parser.add_argument(
         "--seed",

@@ -54,11 +54,7 @@ def execute(arguments: Namespace) -> int:
     console.tell(f"{name} is written: 6 runs on the embedded robot, ready to be executed.")
     print_facts(
         console,
-        [
-            ("Check", command_line("check", name)),
-            ("Plan", command_line("plan", name)),
-            ("Execute", command_line(name)),
-        ],
+        [("Check", command_line("check", name)), ("Plan", command_line("plan", name)), ("Execute", command_line(name))],
     )
     return 0
 
@@ -78,12 +74,7 @@ def _write_plugin(name: str, kind: str) -> int:
     console = output()
     console.tell(f"{name} is written: the {kind} {plugin}, which works as it is, with its tests.")
     print_facts(
-        console,
-        [
-            ("Try", command_line("try", str(folder / f"{module}.py"), *robot)),
-            ("Install", pip),
-            ("Test", test),
-        ],
+        console, [("Try", command_line("try", str(folder / f"{module}.py"), *robot)), ("Install", pip), ("Test", test)]
     )
     return 0
 
@@ -134,8 +125,7 @@ _NAME = re.compile(r"[a-z][a-z0-9]*(?:[_-][a-z0-9]+)*")
 def write_plugin_package(folder: Path, kind: str) -> str:
     """Write a package with a plugin (`profiler` or `system`) that works as it is, and its tests, into a new folder.
 
-    Returns:
-        The name of the plugin's class.
+    Return the name of the plugin's class.
 
     Raises:
         UsageError: the folder's name cannot be that of a package.

@@ -109,9 +109,8 @@ def _print_layouts(console: UserConsole, facts: Mapping[str, Any], *, shows_all:
 def _print_table(console: UserConsole, rows: Sequence[Sequence[str]], *, shows_all: bool) -> None:
     """Print rows, the first of which is the heading."""
     columns = [Column(str(cells[0]), width_of(list(cells))) for cells in zip(*rows, strict=True)]
-    columns[-1] = replace(
-        columns[-1], width=max(cell_len(one_line(row[-1])) for row in rows)
-    )  # nothing beside it needs the room
+    widest = max(cell_len(one_line(row[-1])) for row in rows)
+    columns[-1] = replace(columns[-1], width=widest)  # nothing beside it needs the room
     shown = rows if shows_all else rows[: _MOST_ROWS + 1]
     for place, row in enumerate(shown):
         console.print(aligned(columns, row), style="dim" if not place else None, soft_wrap=True, markup=False)

@@ -68,11 +68,9 @@ def _described(installed: EntryPoint, found: EntryPoint) -> _Described:
     except PluginError as error:
         return _Described(installed, finding=error.as_finding())
     except Exception as error:  # noqa: BLE001 - a stranger's class may raise anything when it is looked at
-        finding = Finding.error(
-            f"plugin {installed.name}",
-            f"the plugin cannot be described: {type(error).__name__}: {error}",
-            f"Update or remove the package {installed.package}.",
-        )
+        problem = f"the plugin cannot be described: {type(error).__name__}: {error}"
+        fix = f"Update or remove the package {installed.package}."
+        finding = Finding.error(f"plugin {installed.name}", problem, fix)
         return _Described(installed, finding=finding)
 
 

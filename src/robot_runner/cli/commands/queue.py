@@ -145,9 +145,8 @@ def _options(arguments: Namespace, parser: Parser) -> list[str]:
         if not action.option_strings or not given or action.dest in {"workers", "cluster", "json"}:
             continue
         name = action.option_strings[0]
-        words += (
-            [name] if given is True else [f"{name}={each}" for each in (given if isinstance(given, list) else [given])]
-        )
+        values = given if isinstance(given, list) else [given]
+        words += [name] if given is True else [f"{name}={each}" for each in values]
     return words
 
 

@@ -12,6 +12,7 @@ from argparse import Namespace
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, redirect_stdout, suppress
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -49,8 +50,7 @@ def add_arguments(parser: Parser) -> None:
     add_config(parser)
     add_set(parser)
     for option, meaning in _CHOICES.items():
-        explained = f"{meaning}: {RUNS_HELP}; may be given several times"
-        parser.add_argument(option, metavar="RUNS", action="append", default=[], help=explained)
+        parser.add_several(option, "RUNS", f"{meaning}: {RUNS_HELP}")
     parser.add_argument(
         "--accept-changes",
         action="store_true",
@@ -189,22 +189,20 @@ def _execute(arguments: Namespace, experiment: Experiment, findings: Sequence[Fi
         table=TableChoice(arguments.table) if arguments.table else None,
     )
 
-    def executed(asked: Resumption) -> Execution:
-        return execute_on_screen(
-            experiment,
-            findings,
-            plain=arguments.plain or arguments.json,
-            resumption=asked,
-            waits_for_claims=arguments.wait,
-        )
-
+    on_screen = partial(
+        execute_on_screen,
+        experiment,
+        findings,
+        plain=arguments.plain or arguments.json,
+        waits_for_claims=arguments.wait,
+    )
     try:
-        return executed(resumption)
+        return on_screen(resumption=resumption)
     except TableDisagreementError as disagreement:
         chosen = _chosen_table(disagreement)
         if chosen is None:
             raise
-        return executed(replace(resumption, table=chosen))
+        return on_screen(resumption=replace(resumption, table=chosen))
 
 
 def _refused(findings: Sequence[Finding]) -> dict[str, Any]:
@@ -212,7 +210,6 @@ def _refused(findings: Sequence[Finding]) -> dict[str, Any]:
 
 
 def _facts(experiment: Experiment, execution: Execution) -> dict[str, Any]:
-    """Return how an execution went, as plain data."""
     named = {"experiment": experiment.parameters.experiment_name, "folder": str(experiment.folder.root)}
     finished = execution.finished
     if finished is None:

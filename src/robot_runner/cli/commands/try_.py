@@ -49,20 +49,9 @@ def add_arguments(parser: Parser) -> None:
         help=f"how long it measures, in seconds ({_SECONDS:g}); of a system with a mission of its own, how long that "
         f"may take ({_LONGEST_MISSION_S:g})",
     )
-    parser.add_argument(
-        "--set",
-        metavar="NAME=VALUE",
-        action="append",
-        default=[],
-        help="set a parameter of the plugin, or robot=simulated; may be given several times",
-    )
-    parser.add_argument(
-        "--factor",
-        metavar="NAME=VALUE",
-        action="append",
-        default=[],
-        help="give the run a treatment that the plugin reads, such as Task=Video; may be given several times",
-    )
+    parser.add_several("--set", "NAME=VALUE", "set a parameter of the plugin, or robot=simulated")
+    meaning = "give the run a treatment that the plugin reads, such as Task=Video"
+    parser.add_several("--factor", "NAME=VALUE", meaning)
     parser.add_argument("--yes", action="store_true", help="let a system operate a robot that is not simulated")
     parser.add_argument("--keep", metavar="FOLDER", help="keep its raw data in this folder, which must not exist")
     add_json(parser)
@@ -97,9 +86,8 @@ def _check(arguments: Namespace) -> None:
     if arguments.seconds is not None and not 0 < arguments.seconds < float("inf"):
         raise RobotRunnerError(f"--seconds is {arguments.seconds:g}", where="try", fix="Give a number above 0.")
     if arguments.keep is not None and Path(arguments.keep).exists():
-        raise RobotRunnerError(
-            "the folder to keep is there already", where=arguments.keep, fix="Name a folder that does not exist."
-        )
+        fix = "Name a folder that does not exist."
+        raise RobotRunnerError("the folder to keep is there already", where=arguments.keep, fix=fix)
 
 
 def _kept(trial: Trial, wanted: str | None) -> Path | None:
@@ -201,8 +189,7 @@ def _print_verdict(console: UserConsole, trial: Trial) -> None:
     elif failure is None:
         console.print("It went well." if not trial.findings else "It went through, with warnings.", style="bold")
     else:
-        said = one_line(str(failure))
-        print_folded(console, "failed: ", said, style="bold red")
+        print_folded(console, "failed: ", one_line(str(failure)), style="bold red")
         for line in failure.traceback.splitlines():
             console.print(Text(f"  {line}", style="dim"), soft_wrap=True)
 

@@ -71,14 +71,7 @@ class LiveScreen:
     """An observer that keeps the terminal up to date. It starts no thread: the orchestrator calls `refresh`.
 
     What the orchestrating process prints meanwhile (callbacks such as `before_run`) appears above the live part.
-
-    Args:
-        console: a terminal.
-        experiment: what is executed.
-        clock: monotonic, in seconds.
-
-    Attributes:
-        progress: what it knows.
+    `progress` is what it knows, by a monotonic clock in s.
     """
 
     refresh_interval: float | None = 0.125
@@ -270,10 +263,8 @@ class LiveScreen:
             return [self._run(runs[0], with_count=True), self._event(runs[0], self._pause())]
         width = max((cell_len(each.task.place) for each in runs), default=0)
         places = [self._at_place(each, width) for each in sorted(runs, key=lambda each: each.task.slot)]
-        return [
-            *places,
-            *(self._at_gate(each).append(f"   {plain.waited_so_far(each)}", style="default") for each in waits),
-        ]
+        gates = (self._at_gate(each).append(f"   {plain.waited_so_far(each)}", style="default") for each in waits)
+        return [*places, *gates]
 
     def _at_place(self, current: CurrentRun, width: int) -> Text:
         line = Text(f"  {set_cell_size(current.task.place, width)}", style="dim", no_wrap=True, overflow="ellipsis")
@@ -298,10 +289,8 @@ class LiveScreen:
     def _between_runs(self, waits: Sequence[notices.GateWaiting]) -> list[Text]:
         if not waits:
             return [Text(f"  between two runs{self._pause()}", style="dim"), Text("")]
-        return [
-            self._at_gate(waits[0]),
-            Text(f"    {plain.waited_so_far(waits[0])}", no_wrap=True, overflow="ellipsis"),
-        ]
+        waited = Text(f"    {plain.waited_so_far(waits[0])}", no_wrap=True, overflow="ellipsis")
+        return [self._at_gate(waits[0]), waited]
 
     def _at_gate(self, waiting: notices.GateWaiting) -> Text:
         return Text(f"  ▷ {plain.waiting_at_gate(waiting)}", style="cyan", no_wrap=True, overflow="ellipsis")

@@ -149,13 +149,7 @@ def gate_passed(passed: notices.GatePassed) -> str:
 class PlainScreen:
     """An observer that prints a line when a run starts and when it ends.
 
-    Args:
-        console: where to.
-        experiment: what is executed.
-        clock: monotonic, in seconds.
-
-    Attributes:
-        progress: what it knows.
+    `progress` is what it knows, by a monotonic clock in s.
     """
 
     refresh_interval: float | None = None
@@ -256,12 +250,8 @@ class PlainScreen:
         return f"failed {after}: {reason}" if is_last else f"failed {after}: {reason.rstrip('.')}; it is tried again"
 
     def _measures(self, outcome: RunOutcome) -> list[str]:
-        shown = []
-        for name, unit in self._units.items():
-            published = outcome.measures.get(name)
-            value = shown_measure(published)
-            shown.append(f"{name} {value} {unit}" if unit not in {"", "1"} else f"{name} {value}")
-        return shown
+        told = ((f"{name} {shown_measure(outcome.measures.get(name))}", unit) for name, unit in self._units.items())
+        return [text if unit in {"", "1"} else f"{text} {unit}" for text, unit in told]
 
 
 def _named(task: RunTask) -> str:

@@ -38,10 +38,7 @@ class CurrentRun:
 
 
 class Progress:
-    """The progress of an experiment, for a screen.
-
-    Args:
-        clock: monotonic, in seconds.
+    """The progress of an experiment, for a screen, by a monotonic clock in s.
 
     Attributes:
         run_count: all runs of the table; 0 before the experiment has started.
@@ -233,10 +230,7 @@ def treatments_in_words(task: RunTask | notices.WaitingForUser, model: RunTableM
 class RunRows:
     """Makes the rows for the runs of one experiment.
 
-    Args:
-        experiment: whose runs they are.
-        measures: the units of the measure columns, by name.
-        run_count: how many runs there are, for the width of their ids.
+    `measures` are the units of the measure columns, by name; `run_count` is for the width of the runs' ids.
     """
 
     def __init__(self, experiment: Experiment, measures: Mapping[str, str], run_count: int) -> None:
@@ -263,8 +257,7 @@ class RunRows:
         task, outcome = finished.task, finished.outcome
         what = run_cells(self._model, task.run_id, task.combination, task.repetition)
         if outcome.status is AttemptStatus.DONE:
-            published = (outcome.measures.get(name) for name in self._measures)
-            values = [shown_measure(each) for each in published]
+            values = [shown_measure(outcome.measures.get(name)) for name in self._measures]
             return Text(_INDENT + aligned(columns, [*what, *values, shown_duration(outcome.seconds)]))
         reason = one_line(str(outcome.failure)) if outcome.status is AttemptStatus.FAILED else "interrupted"
         again = "" if finished.is_last else f"attempt {task.attempt}, tried again: "

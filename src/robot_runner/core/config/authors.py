@@ -40,18 +40,12 @@ class Author:
     affiliation_url: str | None
 
     def __init__(
-        self,
-        name: str,
-        *,
-        orcid: str | None = None,
-        affiliation: str | None = None,
-        affiliation_url: str | None = None,
+        self, name: str, *, orcid: str | None = None, affiliation: str | None = None, affiliation_url: str | None = None
     ) -> None:
         ConfigError.refuse(_findings(name, orcid, affiliation, affiliation_url))
-        object.__setattr__(self, "name", name)
-        object.__setattr__(self, "orcid", orcid[-19:] if orcid else None)
-        object.__setattr__(self, "affiliation", affiliation)
-        object.__setattr__(self, "affiliation_url", affiliation_url)
+        organisation = {"affiliation": affiliation, "affiliation_url": affiliation_url}
+        for attribute, value in {"name": name, "orcid": orcid[-19:] if orcid else None, **organisation}.items():
+            object.__setattr__(self, attribute, value)
 
     def as_mapping(self) -> dict[str, str | None]:
         """Return the author as plain data, for the manifest."""

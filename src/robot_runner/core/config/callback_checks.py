@@ -130,30 +130,27 @@ _FIX_OF_CHANGE = (
 
 def _lost_changes(code: _LocalCode, events: EventManager) -> Iterator[tuple[str, str, str]]:
     changed: dict[str, dict[str, None]] = {}
-    for event in RUN_EVENTS:
-        for each in events.subscribers(event):
-            changed.setdefault(each.owner, {}).update(dict.fromkeys(_changed_by(code.called_by(each), code.containers)))
-    for event in _LATER:
-        for each in events.subscribers(event):
-            read = set(_read_by(code.called_by(each)))
-            if lost := [f"self.{name}" for name in changed.get(each.owner, ()) if name in read]:
-                problem = f"{event.callback_name} reads {listed(lost)}, which runs change: "
-                problem += "each run has a process of its own, and what it stores is gone with it"
-                yield each.owner, problem, _FIX_OF_CHANGE
+    for each in events.subscribers(*RUN_EVENTS):
+        changed.setdefault(each.owner, {}).update(dict.fromkeys(_changed_by(code.called_by(each), code.containers)))
+    for each in events.subscribers(*_LATER):
+        read = set(_read_by(code.called_by(each)))
+        if lost := [f"self.{name}" for name in changed.get(each.owner, ()) if name in read]:
+            problem = f"{each.event.callback_name} reads {listed(lost)}, which runs change: "
+            problem += "each run has a process of its own, and what it stores is gone with it"
+            yield each.owner, problem, _FIX_OF_CHANGE
 
 
 def _unseen_changes(code: _LocalCode, events: EventManager) -> Iterator[tuple[str, str, str]]:
-    of_runs = [each for event in RUN_EVENTS for each in events.subscribers(event)]
-    for event in (RobotRunnerEvents.BEFORE_EXPERIMENT, RobotRunnerEvents.BEFORE_RUN):
-        for each in events.subscribers(event):
-            own = [other for other in of_runs if other.owner == each.owner]
-            read = set(chain.from_iterable(_read_by(code.called_by(other)) for other in own))
-            read -= set(chain.from_iterable(_changed_by(code.called_by(other), code.containers) for other in own))
-            changed = dict.fromkeys(_changed_by(code.called_by(each), code.containers))
-            if unseen := [f"self.{name}" for name in changed if name in read]:
-                problem = f"{event.callback_name} changes {listed(unseen)}, which runs read: "
-                problem += "a run in a fresh interpreter (SPAWN), or on a worker of a cluster, sees nothing of it"
-                yield each.owner, problem, "Pass it by context.share in before_run, or set it up in start_run."
+    of_runs = events.subscribers(*RUN_EVENTS)
+    for each in events.subscribers(RobotRunnerEvents.BEFORE_EXPERIMENT, RobotRunnerEvents.BEFORE_RUN):
+        own = [other for other in of_runs if other.owner == each.owner]
+        read = set(chain.from_iterable(_read_by(code.called_by(other)) for other in own))
+        read -= set(chain.from_iterable(_changed_by(code.called_by(other), code.containers) for other in own))
+        changed = dict.fromkeys(_changed_by(code.called_by(each), code.containers))
+        if unseen := [f"self.{name}" for name in changed if name in read]:
+            problem = f"{each.event.callback_name} changes {listed(unseen)}, which runs read: "
+            problem += "a run in a fresh interpreter (SPAWN), or on a worker of a cluster, sees nothing of it"
+            yield each.owner, problem, "Pass it by context.share in before_run, or set it up in start_run."
 
 
 def _containers_in(node: ast.AST) -> Iterator[str]:
@@ -224,11 +221,10 @@ _FIX_OF_GENERATOR = (
 
 def _shared_generators(code: _LocalCode, events: EventManager) -> Iterator[tuple[str, str, str]]:
     found: dict[str, dict[str, None]] = {}
-    for event in RUN_EVENTS:
-        for each in events.subscribers(event):
-            for called in code.called_by(each):
-                drawn = [node for node in called.nodes if _is_generator(called.named(node))]
-                found.setdefault(each.owner, {}).update(dict.fromkeys(map(ast.unparse, drawn)))
+    for each in events.subscribers(*RUN_EVENTS):
+        for called in code.called_by(each):
+            drawn = [node for node in called.nodes if _is_generator(called.named(node))]
+            found.setdefault(each.owner, {}).update(dict.fromkeys(map(ast.unparse, drawn)))
     for owner, names in found.items():
         if names:
             problem = f"each run begins with the same state of {listed(names)}, and draws the same random numbers"
@@ -269,12 +265,11 @@ _FIX_OF_DRIVE = "Drive in start_run or launch_mission: whatever is killed there,
 
 
 def _drives_without_standby(code: _LocalCode, events: EventManager) -> Iterator[tuple[str, str, str]]:
-    for event in (RobotRunnerEvents.BEFORE_RUN, RobotRunnerEvents.CONTINUE):
-        for each in events.subscribers(event):
-            if any(_commands_robot(node, called) for called in code.called_by(each) for node in called.nodes):
-                problem = f"{event.callback_name} drives the robot in the orchestrator's process: "
-                problem += "where that is killed meanwhile, nothing stops the robot"
-                yield each.owner, problem, _FIX_OF_DRIVE
+    for each in events.subscribers(RobotRunnerEvents.BEFORE_RUN, RobotRunnerEvents.CONTINUE):
+        if any(_commands_robot(node, called) for called in code.called_by(each) for node in called.nodes):
+            problem = f"{each.event.callback_name} drives the robot in the orchestrator's process: "
+            problem += "where that is killed meanwhile, nothing stops the robot"
+            yield each.owner, problem, _FIX_OF_DRIVE
 
 
 def _commands_robot(node: ast.AST, called: _CalledCode) -> bool:
@@ -315,15 +310,14 @@ _FIX_OF_FILE = "Write into context.run_folder, which each run has for itself: wh
 
 
 def _replaced_files(code: _LocalCode, events: EventManager) -> Iterator[tuple[str, str, str]]:
-    for event in RUN_EVENTS:
-        for each in events.subscribers(event):
-            called_code = list(code.called_by(each))
-            written = [name for called in called_code for node in called.nodes if (name := _written(node, called))]
-            if any(map(_moves, called_code)):
-                continue  # from then on, a name may mean another file in each run
-            for name in written:
-                problem = f"{event.callback_name} writes {name!r} again in each run: the last one replaces the others"
-                yield each.owner, problem, _FIX_OF_FILE
+    for each in events.subscribers(*RUN_EVENTS):
+        called_code = list(code.called_by(each))
+        written = [name for called in called_code for node in called.nodes if (name := _written(node, called))]
+        if any(map(_moves, called_code)):
+            continue  # from then on, a name may mean another file in each run
+        for name in written:
+            problem = f"{each.event.callback_name} writes {name!r} again in each run: the last one replaces the others"
+            yield each.owner, problem, _FIX_OF_FILE
 
 
 def _moves(called: _CalledCode) -> bool:

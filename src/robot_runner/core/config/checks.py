@@ -20,19 +20,12 @@ from robot_runner.core.config.raised_errors import raised_in
 from robot_runner.core.config.registered_config import take_registered_seed
 from robot_runner.core.design.asking import AdaptiveDesign, decides_order
 from robot_runner.core.design.batches import as_configured
+from robot_runner.core.design.columns import BATCH, column_name
 from robot_runner.core.design.design_findings import listed_elsewhere
 from robot_runner.core.design.precise_estimates import uncompared
 from robot_runner.core.design.precision import precision_findings
 from robot_runner.core.design.run_table_model import RunTable, RunTableModel
-from robot_runner.core.errors import (
-    SLIP,
-    ConfigError,
-    Finding,
-    RobotRunnerError,
-    StorageError,
-    did_you_mean,
-    nearest,
-)
+from robot_runner.core.errors import SLIP, ConfigError, Finding, RobotRunnerError, StorageError, did_you_mean, nearest
 from robot_runner.core.events.manager import EVENTS_BY_CALLBACK
 from robot_runner.core.events.measure import CONFIG_OWNER, ROBOT, Measure, MeasureColumns
 from robot_runner.core.late_annotations import names_in
@@ -82,16 +75,11 @@ def check_analysis(parameters: Parameters, model: RunTableModel | None, columns:
         findings += hypothesis.treatment_findings(listed)
     own = as_configured(model)
     taken_out = {*own.design_facts.get("block_columns", ()), own.blocks, parameters.analysis.blocks}
-    findings += [
-        Finding.warning(
-            f"analysis, hypothesis {hypothesis.statement!r}",
-            f"{name} is a block: what it adds is taken out of the comparison, and is not tested",
-            "State it of a factor that is studied, or compute it from the run table.",
-        )
-        for hypothesis in parameters.analysis.hypotheses
-        for name in hypothesis.factors
-        if name in taken_out
-    ]
+    fix = "State it of a factor that is studied, or compute it from the run table."
+    for hypothesis in parameters.analysis.hypotheses:
+        for name in filter(taken_out.__contains__, hypothesis.factors):
+            problem = f"{name} is a block: what it adds is taken out of the comparison, and is not tested"
+            findings.append(Finding.warning(f"analysis, hypothesis {hypothesis.statement!r}", problem, fix))
     return findings
 
 
@@ -158,17 +146,10 @@ def check_names(loaded: LoadedConfig) -> list[Finding]:
         ours = callbacks if is_method else parameters
         meant = nearest(name, ours, SLIP)
         if meant is not None and meant not in names - inherited:
-            findings.append(_misspelt(loaded, name, meant, is_method=is_method))
+            what = "no event is called" if is_method else "there is no static parameter"
+            fix = f"Did you mean {meant!r}? Otherwise begin the name with '_'."
+            findings.append(Finding.error(f"{loaded.where}.{name}", f"{what} {name!r}", fix))
     return findings
-
-
-def _misspelt(loaded: LoadedConfig, name: str, meant: str, *, is_method: bool) -> Finding:
-    what = "no event is called" if is_method else "there is no static parameter"
-    return Finding.error(
-        f"{loaded.where}.{name}",
-        f"{what} {name!r}",
-        f"Did you mean {meant!r}? Otherwise begin the name with '_'.",
-    )
 
 
 # Type and range of every static parameter.
@@ -181,7 +162,8 @@ def read_parameters(loaded: LoadedConfig) -> tuple[Parameters | None, list[Findi
     for parameter in PARAMETERS.values():
         value = getattr(loaded.config, parameter.name, parameter.default)
         if value is REQUIRED:
-            findings.append(_missing(loaded, parameter))
+            fix = f"Give it a value: it must be {parameter.kind.expected}."
+            findings.append(Finding.error(f"{loaded.where}.{parameter.name}", "this static parameter is missing", fix))
         elif not parameter.kind.accepts(value):
             findings.append(_malformed(loaded, parameter, value))
         else:
@@ -189,14 +171,6 @@ def read_parameters(loaded: LoadedConfig) -> tuple[Parameters | None, list[Findi
     if isinstance(robots := values.get("robot"), Robots):
         values |= {"robot": next(iter(robots.links.values())), "robots": robots.links}
     return (None if findings else Parameters(**values)), findings
-
-
-def _missing(loaded: LoadedConfig, parameter: Parameter) -> Finding:
-    return Finding.error(
-        f"{loaded.where}.{parameter.name}",
-        "this static parameter is missing",
-        f"Give it a value: it must be {parameter.kind.expected}.",
-    )
 
 
 def _malformed(loaded: LoadedConfig, parameter: Parameter, value: object) -> Finding:
@@ -350,7 +324,9 @@ def create_model(loaded: LoadedConfig) -> tuple[RunTableModel | None, list[Findi
     if isinstance(model, RunTableModel):
         refused = _take_listed(model, table)
         take_registered_seed(loaded, model)
-        return (None, refused) if refused else (model, [*model.warnings, *_empty_treatments(model)])
+        if refused:
+            return None, refused
+        return model, [*model.warnings, *_empty_treatments(model), *_named_batch(model)]
     problem = f"create_run_table returned {_shown(created)}"
     return None, [Finding.error(where, problem, "Return the RunTableModel (`return run_table`).")]
 
@@ -361,6 +337,16 @@ def _empty_treatments(model: RunTableModel) -> Iterator[Finding]:
     for factor in model.factors:
         if factor.position_of_text("") is not None:
             yield Finding.warning(f"factor {factor.name!r}", problem, fix)
+
+
+def _named_batch(model: RunTableModel) -> Iterator[Finding]:
+    """Yield a warning for a factor or measure with the name of the column that `extend` adds."""
+    for kind, names in (("factor", [each.name for each in model.factors]), ("measure", model.data_columns or ())):
+        if any(column_name(each) == BATCH for each in names):
+            problem = f"robot-runner extend adds a column {BATCH!r}, and refuses an experiment that has one already"
+            yield Finding.warning(
+                f"{kind} {BATCH!r}", problem, f"Choose another name for it, such as '{BATCH}_number'."
+            )
 
 
 def _shown(created: object) -> str:

@@ -34,9 +34,6 @@ def usable_cores(system: Path = Path("/")) -> int:
     """Return how many cores this process may use: those of its affinity, and no more than its control groups allow.
 
     A container or a job of a cluster often sees all cores of its machine, but may use the time of a few (`--cpus=2`).
-
-    Args:
-        system: the root of the file system, for tests.
     """
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1  # macOS
     return max(1, min([cores, *(ceil(each) for each in _quotas(system))]))
@@ -78,10 +75,7 @@ def worker_count(parameters: Parameters) -> int:
 class Claims:
     """The claims of the runs of an experiment, and the plugins, or the config, that make each.
 
-    Args:
-        parameters: of the experiment.
-        plugins: of the experiment; those with bound parameters may have different claims in each run.
-        events: their subscribers: a config without callbacks in a run claims nothing.
+    Plugins with bound parameters may have others in each run; a config without callbacks in a run claims nothing.
     """
 
     def __init__(self, parameters: Parameters, plugins: Sequence[Plugin], events: EventManager) -> None:
@@ -95,9 +89,7 @@ class Claims:
     def of(self, combination: Mapping[str, Any], robot: str | None = None) -> dict[str, list[str]]:
         """Return the claims of a run with these treatments, each with the names of the plugins that make it.
 
-        Args:
-            combination: its treatments.
-            robot: how its robot is reached; None for the experiment's, or the first one of those that take turns.
+        `robot` is how its robot is reached; None for the experiment's, or the first one of those that take turns.
         """
         claims: dict[str, list[str]] = {claim: [CONFIG_OWNER] for claim in self._of_config}
         for plugin in self._plugins:
@@ -197,9 +189,7 @@ def _of_config(parameters: Parameters, events: EventManager) -> Iterator[str]:
         yield THIS_MACHINE if host.is_local else f"host:{host.address}"
     if parameters.claims is not None:
         yield from parameters.claims
-    elif not is_simulated(robot) and any(
-        each.owner == CONFIG_OWNER for event in RUN_EVENTS for each in events.subscribers(event)
-    ):
+    elif not is_simulated(robot) and any(each.owner == CONFIG_OWNER for each in events.subscribers(*RUN_EVENTS)):
         yield THIS_MACHINE
 
 

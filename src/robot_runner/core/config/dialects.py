@@ -80,7 +80,7 @@ def _tell_children(path: Path, overrides: Mapping[str, str]) -> None:
     They get `sys.path`, and inherit the environment, where secrets are left out, as programs of callbacks may print it.
     """
     told = {name: text for name, text in overrides.items() if not is_secret_name(name)}
-    os.environ[LOADED_VARIABLE] = json.dumps({"file": str(path.resolve()), "set": told})
+    os.environ[LOADED_VARIABLE] = json.dumps({"file": os.path.realpath(path), "set": told})
     if _FOR_CHILDREN not in sys.path:
         sys.path.append(_FOR_CHILDREN)
 

@@ -66,9 +66,8 @@ class Experiment:
     def table_layout(self, types: Mapping[str, str] | None = None, *, warms_up: bool = False) -> TableLayout:
         """Return the columns of the run table.
 
-        Args:
-            types: those in its schema, if there is one.
-            warms_up: whether the table has warm-up runs, also if the config has none any more.
+        `types` are those in its schema, if there is one; with `warms_up` it has warm-up runs, also if the config has
+        none any more.
 
         Raises:
             DesignError: a measure is called like a factor.
@@ -105,11 +104,9 @@ def experiment_folder(parameters: Parameters, loaded: LoadedConfig) -> Experimen
     except (OSError, RuntimeError) as error:
         told = error.strerror if isinstance(error, OSError) else str(error).rstrip(".")
         shown = str(path) if len(str(path)) <= _MOST_SHOWN else f"{str(path)[:_MOST_SHOWN]}..."
-        raise ConfigError(
-            f"no folder can lie at {shown!r}: {told}",
-            where=f"{loaded.where}.results_output_path",
-            fix="Give the path of a folder, or of one that is to be made.",
-        ) from error
+        problem = f"no folder can lie at {shown!r}: {told}"
+        fix = "Give the path of a folder, or of one that is to be made."
+        raise ConfigError(problem, where=f"{loaded.where}.results_output_path", fix=fix) from error
     return folder
 
 
@@ -135,21 +132,16 @@ def event_manager_for(loaded: LoadedConfig, plugins: tuple[Plugin, ...]) -> Even
     manager = EventManager()
     findings: list[Finding] = []
 
-    def gather(check: Callable[..., object], *arguments: Any, **keywords: Any) -> None:
-        try:
-            check(*arguments, **keywords)
-        except ConfigError as error:
-            findings.extend(error.findings)
-
     for plugin in plugins:
         is_system = isinstance(plugin, System)
         kind = OwnerKind.SYSTEM if is_system else OwnerKind.PROFILER
         for event, method in methods_of(plugin):
-            gather(manager.subscribe, event, method, owner=plugin.name, kind=kind)
+            findings += ConfigError.raised_by(manager.subscribe, event, method, owner=plugin.name, kind=kind)
         for name in ("make_safe", "stand_by") if is_system else ():
-            gather(_check_called_with_context, name, getattr(plugin, name), plugin.name)
+            findings += ConfigError.raised_by(_check_called_with_context, name, getattr(plugin, name), plugin.name)
     for event, callback in (*loaded.subscriptions, *methods_of(loaded.config)):
-        gather(manager.subscribe, event, callback, owner=CONFIG_OWNER, kind=OwnerKind.CONFIG)
+        own = {"owner": CONFIG_OWNER, "kind": OwnerKind.CONFIG}
+        findings += ConfigError.raised_by(manager.subscribe, event, callback, **own)
     ConfigError.refuse(findings)
     return manager
 

@@ -87,6 +87,7 @@ class Guard:
         ConditionError: an attribute is of the wrong type.
 
     Example:
+        >>> from robot_runner import GuardAction
         >>> from robot_runner import battery_below
         >>> Guard(battery_below(15), GuardAction.STOP).action
         <GuardAction.STOP: 'stop'>
@@ -109,5 +110,4 @@ def _check_condition(given: object, what: str) -> None:
 def _check_choice(given: object, choices: type[Enum], what: str) -> None:
     if not isinstance(given, choices):
         known = [f"{choices.__name__}.{choice.name}" for choice in choices]
-        fix = did_you_mean(str(given), known)
-        raise ConditionError(f"{given!r} is not a {choices.__name__}", where=what, fix=fix)
+        raise ConditionError(f"{given!r} is not a {choices.__name__}", where=what, fix=did_you_mean(str(given), known))

@@ -23,11 +23,7 @@ class GraphCheck:
     """Looks at the graphs of an experiment's robots, all at the same time; nothing is moved or started."""
 
     def __init__(
-        self,
-        parameters: Parameters,
-        plugins: Sequence[Plugin],
-        model: RunTableModel | None,
-        events: EventManager,
+        self, parameters: Parameters, plugins: Sequence[Plugin], model: RunTableModel | None, events: EventManager
     ) -> None:
         self._starters = list(_starters(parameters, plugins, events))
         self._looks = {}
@@ -62,7 +58,7 @@ class GraphCheck:
 def _starters(parameters: Parameters, plugins: Sequence[Plugin], events: EventManager) -> Iterator[str]:
     """Yield in words the parts of an experiment that may start a robot, or wait for it, before a run needs it."""
     yield from (f"plugin {plugin.name}" for plugin in plugins if plugin.starts_nodes)
-    heard = [each for event in _BEFORE for each in events.subscribers(event) if each.kind is OwnerKind.CONFIG]
+    heard = [each for each in events.subscribers(*_BEFORE) if each.kind is OwnerKind.CONFIG]
     yield from dict.fromkeys(f"{each.event.callback_name} of the config" for each in heard)
     if parameters.gates:
         yield "the program that a gate waits for"

@@ -43,20 +43,14 @@ def parse_assignments(assignments: Iterable[str]) -> dict[str, str]:
     for assignment in assignments:
         name, equals, value = assignment.partition("=")
         if not equals or not name.strip():
-            raise ConfigError(
-                f"{assignment!r} is not an assignment",
-                where="--set",
-                fix="Write --set name=value, as in --set robot=simulated.",
-            )
+            fix = "Write --set name=value, as in --set robot=simulated."
+            raise ConfigError(f"{assignment!r} is not an assignment", where="--set", fix=fix)
         parsed[name.strip()] = value
     return parsed
 
 
 def apply_overrides(config_class: type, overrides: Mapping[str, str]) -> dict[str, Any]:
-    """Set static parameters of a config class, each read as the type that the parameter has.
-
-    Returns:
-        The values that were set, by name.
+    """Set static parameters of a config class, each read as the type that it has, and return them by name.
 
     Raises:
         ConfigError: a parameter is not known or its text cannot be read; all findings at once.
@@ -91,9 +85,8 @@ def _read(config_class: type, name: str, text: str) -> Any:
     kind = PARAMETERS[name].kind if name in PARAMETERS else _kind_of(type(own[name])) if name in own else None
     if kind is None:
         if hasattr(config_class, name) and not name.startswith("_"):
-            problem = (
-                f"{name!r} is of type {type(getattr(config_class, name)).__name__}, which cannot be set from outside"
-            )
+            kind_of_own = type(getattr(config_class, name)).__name__
+            problem = f"{name!r} is of type {kind_of_own}, which cannot be set from outside"
             raise ConfigError(problem, where=where, fix="Set it in the config.")
         fix = did_you_mean(name, [*PARAMETERS, *own])
         raise ConfigError(f"there is no static parameter {name!r}", where=where, fix=fix)
@@ -114,13 +107,11 @@ class LoadedConfig:
     """A config file that was executed and whose class was instantiated.
 
     Attributes:
-        config: the instance of the config class.
         subscriptions: what it subscribed explicitly.
         activated: the plugins that import lines such as `import plugins.profilers.Ina219` asked for.
         overrides: the static parameters that were set from outside, by name.
         local_modules: the files of modules that it, or its callbacks, import and that are not installed, each with its
             path in the folder in which the config is kept.
-        findings: of loading it.
         folder: the experiment's folder, where the static parameters alone do not determine it.
         spelling: how its run table's file spells headings and statuses.
         threads: the names of threads that it started while it was loaded and that are alive.
@@ -163,8 +154,7 @@ def load_config(path: Path, overrides: Mapping[str, str] = MappingProxyType({}))
         parameters_guarded(),
     ):
         before, threads_before = set(sys.modules), set(threading.enumerate())
-        module = execute_source(source)
-        config_class = getattr(module, source.class_name)
+        config_class = getattr(execute_source(source), source.class_name)
         values = apply_overrides(config_class, overrides)
         config = config_class()
         for name, value in values.items():
@@ -208,9 +198,8 @@ def execute_source(source: ConfigSource) -> ModuleType:
     """
     spec = importlib.util.spec_from_file_location(CONFIG_MODULE, source.path)
     if spec is None or spec.loader is None:
-        raise ConfigError(
-            "the config cannot be imported", where=str(source.path), fix="Give it a name that ends in .py."
-        )
+        fix = "Give it a name that ends in .py."
+        raise ConfigError("the config cannot be imported", where=str(source.path), fix=fix)
     module = importlib.util.module_from_spec(spec)
     sys.modules[CONFIG_MODULE] = module
     code = compile(source.text, str(source.path), "exec", dont_inherit=True)  # not the future statements of this module

@@ -33,10 +33,7 @@ def local_modules_among(config: Path, names: set[str]) -> dict[Path, Path]:
     """Return the files of the modules `names`, and of those that the config and its callbacks import.
 
     Modules outside the config's folder are found by import statements, as the process may have loaded others for other
-    reasons.
-
-    Returns:
-        for each file its path relative to the config's folder: its own, or by the name of its module.
+    reasons. Each has its path relative to the config's folder: its own, or by the name of its module.
     """
     folder = config.parent
     # `__mp_main__`, the main program under `multiprocessing`, may be below the config's folder, but is not part of it.
@@ -101,9 +98,7 @@ def editable_folders() -> Mapping[Path, str]:
 def imported_files(files: Mapping[Path, Path], folder: Path) -> dict[Path, Path]:
     """Return these Python files, and those that they import anywhere in their code, without executing them.
 
-    Args:
-        files: the path of each, relative to the config's folder.
-        folder: the config's.
+    Each has its path relative to `folder`, the config's.
     """
     searched = [_without_dots(each) for each in sys.path]
     roots = [str(each) for each in searched if not _is_installed(each / "_")]
@@ -179,22 +174,20 @@ def _files_of(module: str, places: Sequence[str], within: Path) -> Iterator[tupl
         places = list(spec.submodule_search_locations or ())
 
 
-def check_neighbours(folder: Path) -> list[Finding]:
-    """Return a warning for each file beside a config that is named like a module of Python's, or an installed one.
+def check_neighbours(folder: Path) -> Iterator[Finding]:
+    """Yield a warning for each file beside a config that is named like a module of Python's, or an installed one.
 
     The config's folder comes first on the path, as a script's does: a `random.py` there is imported by plugins, too.
     """
     installed = [each for each in sys.path if _is_installed(Path(each, "_"))]
     places = {*folder.glob("*.py"), *(each.parent for each in folder.glob("*/__init__.py"))}
-    found = []
     for place in sorted(places - {folder / "test.py", folder / "test"}):  # only Python's own tests import that one
         name = place.name.removesuffix(".py")
         kind = "Python's own" if name in sys.stdlib_module_names else "the installed"
         is_importable = place.suffix == ".py" and name.isidentifier()  # of `plot.numpy` the finder looks for `numpy`
         if kind == "Python's own" or (is_importable and PathFinder.find_spec(name, installed)):
             problem = f"the file is called like {kind} module {name!r}, and is imported in its place"
-            found.append(Finding.warning(str(place), problem, f"Give it another name: my_{place.name}."))
-    return found
+            yield Finding.warning(str(place), problem, f"Give it another name: my_{place.name}.")
 
 
 def editable_code() -> dict[str, str]:

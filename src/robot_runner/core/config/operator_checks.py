@@ -9,7 +9,6 @@ from typing import Any
 
 from robot_runner.core.config.operator_steps import ANSWER_TYPES, OperatorStep, Question, Scale
 from robot_runner.core.design.columns import name_findings
-from robot_runner.core.design.factor import Factor
 from robot_runner.core.design.numeric_range import is_number, is_whole
 from robot_runner.core.design.run_table_model import RunTableModel
 from robot_runner.core.errors import Finding, did_you_mean
@@ -88,21 +87,20 @@ def _when_findings(at: str, step: OperatorStep, model: RunTableModel | None) -> 
 
 def _condition_findings(at: str, rule: str, step: OperatorStep, model: RunTableModel | None) -> Iterator[Finding]:
     condition = step.before if rule == "before" else step.after
-    if isinstance(condition, Mapping):
-        if model is not None:
-            yield from _mapping_findings(at, rule, condition, {factor.name: factor for factor in model.factors})
-    elif callable(condition):
-        if model is not None:
-            yield from _tried(at, rule, step, model)
-    elif condition is not None and not (rule == "after" and isinstance(condition, bool)):
+    if condition is None or (rule == "after" and isinstance(condition, bool)):
+        return
+    if not (isinstance(condition, Mapping) or callable(condition)):
         for_each = "True for each run, or " if rule == "after" else ""
         fix = f'Give {for_each}treatments by factor, such as {{"Task": "Video"}}, or a function of them.'
         yield Finding.error(at, f"{rule} is {condition!r}", fix)
+    elif isinstance(condition, Mapping):
+        yield from _mapping_findings(at, rule, condition, model) if model is not None else ()
+    else:
+        yield from _tried(at, rule, step, model) if model is not None else ()
 
 
-def _mapping_findings(
-    at: str, rule: str, condition: Mapping[Any, Any], factors: Mapping[str, Factor]
-) -> Iterator[Finding]:
+def _mapping_findings(at: str, rule: str, condition: Mapping[Any, Any], model: RunTableModel) -> Iterator[Finding]:
+    factors = {factor.name: factor for factor in model.factors}
     for name, wanted in condition.items():
         if name not in factors:
             yield Finding.error(at, f"{rule}: there is no factor {name!r}", did_you_mean(str(name), factors))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import KW_ONLY, dataclass
 from math import fsum
 from typing import Any
 
@@ -50,13 +50,14 @@ class Question:
 
     name: str
     type: AnswerType | None = None
-    unit: str = field(default="", kw_only=True)
-    low: float | None = field(default=None, kw_only=True)
-    high: float | None = field(default=None, kw_only=True)
-    choices: Sequence[Any] = field(default=(), kw_only=True)
-    note: bool = field(default=False, kw_only=True)
-    optional: bool = field(default=False, kw_only=True)
-    text: str = field(default="", kw_only=True)
+    _: KW_ONLY
+    unit: str = ""
+    low: float | None = None
+    high: float | None = None
+    choices: Sequence[Any] = ()
+    note: bool = False
+    optional: bool = False
+    text: str = ""
 
     @property
     def kind(self) -> AnswerType:
@@ -175,13 +176,14 @@ class Scale:
 
     name: str
     items: Mapping[str, str] | Sequence[str]
-    low: float = field(kw_only=True)
-    high: float = field(kw_only=True)
-    type: AnswerType = field(default=int, kw_only=True)
-    reverse: Sequence[str] = field(default=(), kw_only=True)
-    to: tuple[float, float] | None = field(default=None, kw_only=True)
-    note: bool = field(default=False, kw_only=True)
-    optional: bool = field(default=False, kw_only=True)
+    _: KW_ONLY
+    low: float
+    high: float
+    type: AnswerType = int
+    reverse: Sequence[str] = ()
+    to: tuple[float, float] | None = None
+    note: bool = False
+    optional: bool = False
 
     @property
     def questions(self) -> tuple[Question, ...]:
@@ -295,11 +297,8 @@ def operator_measures(steps: Sequence[OperatorStep]) -> tuple[Measure, ...]:
     measures: list[Measure] = []
     for step in steps:
         entered = f"Entered by hand when this was done: {step.name}."
-        measures += [
-            Measure(each.name, each.unit, entered, low=each.low, high=each.high)
-            for each in step.questions
-            if not each.note
-        ]
+        asked = (each for each in step.questions if not each.note)
+        measures += [Measure(each.name, each.unit, entered, low=each.low, high=each.high) for each in asked]
         measures += [scale.measure for scale in step.scales]
     return tuple(measures)
 
@@ -316,9 +315,8 @@ def read_answers(
 ) -> tuple[dict[str, MeasureValue], list[Finding]]:
     """Read the answers to several questions; all findings at once.
 
-    Returns:
-        The accepted values, and a finding for each refused one, each question without an answer, and each name without
-        a question.
+    Return the accepted values, and a finding for each refused one, each question without an answer, and each name
+    without a question.
     """
     by_name = {question.name: question for question in questions}
     taken = dict(answered or {})

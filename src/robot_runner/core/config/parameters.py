@@ -15,6 +15,7 @@ from typing import Any, ClassVar, NoReturn
 
 from robot_runner.core.config import parameter_kinds as kinds
 from robot_runner.core.config.authors import Author
+from robot_runner.core.config.executed_as_script import tell_at_exit
 from robot_runner.core.config.gate_parameters import Gate, Guard
 from robot_runner.core.config.notify import Notify
 from robot_runner.core.config.operator_steps import OperatorStep
@@ -342,14 +343,18 @@ class ExperimentConfig(StaticParameters):
 
     plugins: ClassVar[Sequence[Plugin]] = ()
 
+    def __init_subclass__(cls, **options: Any) -> None:
+        """Have `python study.py`, which only defines a class, say how it is executed; imports see nothing of this."""
+        super().__init_subclass__(**options)
+        if cls.__module__ == "__main__":
+            tell_at_exit()
+
     def create_run_table(self) -> RunTableModel | RunTable:
         """Return the run-table model: factors, exclusions, repetitions, order, and the measures' columns.
 
         Raises:
             ConfigError: the config does not define it.
         """
-        raise ConfigError(
-            "the config does not say which runs to execute",
-            where=f"{type(self).__name__}.create_run_table",
-            fix="Define create_run_table(self) and return a RunTableModel.",
-        )
+        problem = "the config does not say which runs to execute"
+        fix = "Define create_run_table(self) and return a RunTableModel."
+        raise ConfigError(problem, where=f"{type(self).__name__}.create_run_table", fix=fix)

@@ -13,6 +13,7 @@ from typing import Any, TypeVar
 from robot_runner.core.config.loader import LoadedConfig
 from robot_runner.core.config.parameters import Parameters
 from robot_runner.core.config.raised_errors import place_in
+from robot_runner.core.config.slow_checks import told_if_slow
 from robot_runner.core.design.numeric_range import is_number
 from robot_runner.core.design.run_table_model import RunTableModel
 from robot_runner.core.entry_points import EntryPoint, entry_points, instances_of
@@ -73,12 +74,7 @@ def check_plugins(
 ) -> list[Finding]:
     """Return the findings of the plugins' checks, and on the plugins; bound ones are checked with each treatment.
 
-    Args:
-        plugins: those that could be built.
-        model: the run table's; None where there is none.
-        robot: how it is reached.
-        robots: how each of several is.
-        unbuilt: the names of the config's other plugins, which are not missing.
+    `model` is None where there is no run table; `unbuilt` names the config's other plugins, which are not missing.
     """
     factors = {factor.name: factor.treatments for factor in model.factors} if model else {}
     listed = [*(each.name for each in plugins), *unbuilt]
@@ -86,8 +82,7 @@ def check_plugins(
     findings: list[Finding] = []
     for plugin in plugins:
         if model is not None and factors_of(plugin):
-            planned = (run.combination for run in _some_of(model, factors_of(plugin)))
-            findings += _checked_with_each(plugin, plugins, planned, around)
+            findings += _checked_with_each(plugin, plugins, _some_of(model, factors_of(plugin)), around)
         else:
             check = partial(plugin.check, replace(around, plugins=tuple(plugins)))
             findings += asked(plugin.name, check, plugin=plugin)
@@ -113,8 +108,8 @@ def with_each_treatment(plugin: Plugin, model: RunTableModel | None) -> Iterator
     if model is None or not factors_of(plugin):
         yield plugin
         return
-    planned = (run.combination for run in _some_of(model, factors_of(plugin)))
-    yield from (built_with(plugin, combination) for combination in _distinct(planned, factors_of(plugin).values()))
+    factors = factors_of(plugin)
+    yield from (built_with(plugin, each) for each in _distinct(_some_of(model, factors), factors.values()))
 
 
 def asked(
@@ -122,7 +117,8 @@ def asked(
 ) -> list[Finding]:
     """Return the findings of another package's check, or of `what` it does; an exception becomes a finding."""
     try:
-        return instances_of(Finding, check())
+        with told_if_slow(f"{where}: {what}"):
+            return instances_of(Finding, check())
     except (Exception, SystemExit) as error:  # noqa: BLE001 - a stranger's code
         return [failed_check(where, error, what, plugin)]
 
@@ -148,8 +144,8 @@ def failed_check(where: str, error: BaseException, what: str = "the check", plug
 # Methods with misspelt names of ours, which nothing calls: a robot would not be made safe.
 
 
-def misspelt_callbacks(plugin: Plugin) -> list[Finding]:
-    """Return a warning for each method whose name is close to one of ours, and that nothing calls.
+def misspelt_callbacks(plugin: Plugin) -> Iterator[Finding]:
+    """Yield a warning for each method whose name is close to one of ours, and that nothing calls.
 
     Unlike in a config it is not an error: the plugin may be another author's, and called from outside.
     """
@@ -158,13 +154,11 @@ def misspelt_callbacks(plugin: Plugin) -> list[Finding]:
     written = {name for kind in own for name in _methods_of(kind)}
     ours = {*EVENTS_BY_CALLBACK, *(name for kind in kinds if kind not in own for name in _methods_of(kind))}
     called = {name for kind in own for each in vars(kind).values() for name in names_read_by(each)}
-    found = []
     for name in sorted(written - ours - called):
         if (meant := nearest(name, ours - written, SLIP)) is not None:
             fix = f"Did you mean {meant!r}? Otherwise begin the name with '_'."
             where = f"{type(plugin).__name__}.{name}"
-            found.append(Finding.warning(where, "nothing calls this method of the plugin", fix))
-    return found
+            yield Finding.warning(where, "nothing calls this method of the plugin", fix)
 
 
 def _methods_of(kind: type) -> Iterator[str]:
@@ -175,9 +169,8 @@ def _listed(loaded: LoadedConfig, findings: list[Finding]) -> Iterable[Plugin]:
     where = f"{loaded.where}.plugins"
     listed = getattr(loaded.config, "plugins", ())
     if not isinstance(listed, list | tuple):
-        findings.append(
-            Finding.error(where, f"the value is {listed!r}", "Give a list, such as [BasicTurtlebot3(), PsUtil()].")
-        )
+        fix = "Give a list, such as [BasicTurtlebot3(), PsUtil()]."
+        findings.append(Finding.error(where, f"the value is {listed!r}", fix))
         return
     for plugin in listed:
         if isinstance(plugin, Plugin):
@@ -202,22 +195,20 @@ def _instantiated(loaded: LoadedConfig, activated: type[Plugin], findings: list[
         name = activated.__name__
         place = place_in(loaded.source.path, error)
         problem = f"{name} cannot be activated by its import alone: {error}"
-        findings.append(
-            Finding.error(place, problem, f"List it in `plugins` instead, with its parameters: {name}(...).")
-        )
+        fix = f"List it in `plugins` instead, with its parameters: {name}(...)."
+        findings.append(Finding.error(place, problem, fix))
         return []
 
 
 def _equal_names(loaded: LoadedConfig, plugins: list[Plugin]) -> list[Finding]:
-    names = [plugin.name.casefold() for plugin in plugins]
+    named: defaultdict[str, list[Plugin]] = defaultdict(list)
+    for plugin in plugins:
+        named[plugin.name.casefold()].append(plugin)
+    alike = [(len(each), each[0]) for each in named.values() if len(each) > 1]
+    where, fix = f"{loaded.where}.plugins", "Give each a name of its own: {}(name=...)."
     return [
-        Finding.error(
-            f"{loaded.where}.plugins",
-            f"{names.count(folded)} plugins are named {plugin.name!r}",
-            f"Give each a name of its own: {type(plugin).__name__}(name=...).",
-        )
-        for index, (plugin, folded) in enumerate(zip(plugins, names, strict=True))
-        if names.count(folded) > 1 and names.index(folded) == index
+        Finding.error(where, f"{count} plugins are named {first.name!r}", fix.format(type(first).__name__))
+        for count, first in alike
     ]
 
 
@@ -237,7 +228,7 @@ def _is_built(plugin: Plugin, model: RunTableModel | None, findings: list[Findin
     if model is None:
         return False
     unknown = list(_unknown_factors(plugin, [factor.name for factor in model.factors]))
-    planned = [run.combination for run in _some_of(model, factors)] if not unknown else []
+    planned = [*_some_of(model, factors)] if not unknown else []
     built: list[Plugin] = []
     refused = unknown or _unbuilt_with_each(plugin, planned, built)
     findings += refused or _varying(plugin, built)
@@ -263,8 +254,8 @@ def _unknown_factors(plugin: Plugin, known: Sequence[str]) -> Iterator[Finding]:
             yield Finding.error(where, f"the run table has no factor {factor!r}", did_you_mean(factor, known))
 
 
-def _some_of(model: RunTableModel, factors: Mapping[str, str]) -> Iterator[Any]:
-    """Yield planned runs until all combinations of the treatments of these factors have come."""
+def _some_of(model: RunTableModel, factors: Mapping[str, str]) -> Iterator[Mapping[str, Any]]:
+    """Yield a planned combination for each combination of the treatments of these factors, until all have come."""
     names = set(factors.values())
     left = prod(len(factor.treatments) for factor in model.factors if factor.name in names)
     seen: set[Any] = set()
@@ -272,7 +263,7 @@ def _some_of(model: RunTableModel, factors: Mapping[str, str]) -> Iterator[Any]:
         key = _key(run.combination, names)
         if key not in seen:
             seen.add(key)
-            yield run
+            yield run.combination
         if len(seen) == left:
             return
 
@@ -296,9 +287,7 @@ def _distinct(combinations: Iterable[Mapping[str, Any]], factors: Iterable[str])
 
 
 def _with_each(
-    plugin: Plugin,
-    combinations: Iterable[Mapping[str, Any]],
-    look: Callable[[Mapping[str, Any]], Sequence[Finding]],
+    plugin: Plugin, combinations: Iterable[Mapping[str, Any]], look: Callable[[Mapping[str, Any]], Sequence[Finding]]
 ) -> list[Finding]:
     """Return the findings with each combination; one that is not found with all names the treatments."""
     factors = list(dict.fromkeys(factors_of(plugin).values()))
@@ -347,9 +336,8 @@ def _malformed(plugin: Plugin) -> list[Finding]:
         problem = f"measures: {error if isinstance(error, TypeError) else f'{type(error).__name__}: {error}'}"
         return [Finding.error(where, problem, 'Give a list, such as [Measure("Energy", "J")].')]
     # A text is true, whatever it says: "off" as well.
-    misread = [
-        each for each in mistyped(type(plugin), given_to(plugin)) if bool in each.types and type(each.value) is str
-    ]
+    given = mistyped(type(plugin), given_to(plugin))
+    misread = [each for each in given if bool in each.types and type(each.value) is str]
     counts = Counter(each.name for each in measures)
     twice = (f"there are {count} measures {name!r}" for name, count in counts.items() if count > 1)
     found = [Finding.error(where, problem, "Rename or remove one.") for problem in twice]
@@ -380,10 +368,7 @@ def _varying(plugin: Plugin, built: Sequence[Plugin]) -> Iterator[Finding]:
 
 
 def _checked_with_each(
-    plugin: Plugin,
-    plugins: Sequence[Plugin],
-    combinations: Iterable[Mapping[str, Any]],
-    circumstances: Circumstances,
+    plugin: Plugin, plugins: Sequence[Plugin], combinations: Iterable[Mapping[str, Any]], circumstances: Circumstances
 ) -> list[Finding]:
     def look(combination: Mapping[str, Any]) -> list[Finding]:
         try:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import permutations
@@ -32,6 +32,7 @@ from robot_runner.core.config.plugin_checks import check_plugins, companions, ga
 from robot_runner.core.config.registered_config import check_registration, registered
 from robot_runner.core.config.treatment_makers import maker_findings
 from robot_runner.core.config.undefined_names import check_undefined_names
+from robot_runner.core.config.unpublished import check_published
 from robot_runner.core.config.unused_names import check_unused_names
 from robot_runner.core.design.batches import as_configured
 from robot_runner.core.design.precision import most_repetitions
@@ -62,11 +63,7 @@ from robot_runner.core.words import enumerated
 
 
 def choose_robot(loaded: LoadedConfig) -> list[Finding]:
-    """Replace `robot = "auto"` by the robot that is found, so that every run and the manifest name the same.
-
-    Returns:
-        which one was chosen and why, or that none was found.
-    """
+    """Replace `robot = "auto"` by the robot that is found, in the manifest, too; tell which one, or that none was."""
     robot = getattr(loaded.config, "robot", None)
     try:
         found = found_robot(robot if isinstance(robot, str) else None)
@@ -87,15 +84,12 @@ def check_robot(loaded: LoadedConfig, parameters: Parameters, plugins: Sequence[
     def announced(link: str | None) -> list[Finding]:
         return checks.announced_checks(loaded.where, parameters.but(robot=link), plugins)
 
-    found = _of_each(parameters.robots, announced) if parameters.robots else announced(parameters.robot)
-    return [*_link_findings(parameters), *found]
+    return [*_link_findings(parameters), *_of_each(parameters, announced)]
 
 
 def _link_findings(parameters: Parameters) -> Iterator[Finding]:
     """Yield why a robot cannot be reached, and whether robots that take turns differ in kind, or are the same."""
-    if not parameters.robots:
-        yield from link_findings(parameters.robot)
-    for link in dict.fromkeys(parameters.robots.values()):
+    for link in dict.fromkeys(parameters.links):
         yield from link_findings(link)
     if parameters.robots and parameters.cluster is not None:
         problem = "several robots take turns on this machine, and the runs are to be executed on a cluster"
@@ -133,12 +127,7 @@ Loader = Callable[[Path, Mapping[str, str]], LoadedConfig]
 
 @dataclass(frozen=True, slots=True)
 class Preparation:
-    """The result of reading a config file.
-
-    Attributes:
-        experiment: ready to be executed, or None where a finding refuses it.
-        findings: all of them, errors first.
-    """
+    """The experiment of a config file, or None where a finding refuses it, and all findings, errors first."""
 
     experiment: Experiment | None
     findings: tuple[Finding, ...]
@@ -154,12 +143,7 @@ def prepare(
 ) -> Preparation:
     """Load and validate a config file of any dialect; nothing on disk is changed.
 
-    Args:
-        path: the config file.
-        overrides: static parameters to set, by name.
-        load: loads the file.
-        is_for_here: whether it is to be executed on this machine, which is checked then.
-        looks_at_graph: whether it is to be executed now: then the robot's graph is checked.
+    With `is_for_here` it is checked whether this machine can execute it, with `looks_at_graph` the robot's graph now.
     """
     try:
         loaded = load(path, overrides)
@@ -181,6 +165,7 @@ def prepare(
         findings += checks.check_analysis(parameters, complete, columns)
         findings += checks.check_run_process(loaded, parameters)
         findings += check_callbacks(loaded, parameters, events)
+        findings += check_published(loaded, events, columns)
         findings += check_registration(loaded, model, parameters, columns) if is_for_here else ()
         findings += checks.check_repeat_until(loaded, parameters, model, columns)
         findings += checks.check_reboots(loaded, parameters, model)
@@ -257,27 +242,20 @@ def _check_machine(
     graph = None
     if parameters is not None and events is not None and parameters.cluster is None:  # each worker has its own graph
         graph = GraphCheck(parameters, plugins, model, events)
-    robot = parameters.robot if parameters is not None else getattr(loaded.config, "robot", None)
-    yield from _robot_first(loaded, parameters, plugins, model, robot)
+    yield from _robot_first(loaded, parameters, plugins, model)
     if parameters is not None:
-        if graph is not None and parameters.robots:
-            yield from _of_each(parameters.robots, lambda link: list(graph.findings(link)))
-        elif graph is not None:
-            yield from graph.findings(parameters.robot)
-        runs = _most_runs(model, parameters) if model is not None else 0
+        if graph is not None:
+            yield from _of_each(parameters, graph.findings)
         if model is not None:
             yield from maker_findings(model.factors, experiment_folder(parameters, loaded))
         yield from check_notify(f"{loaded.where}.notify", parameters.notify)
         yield from checks.check_results_path(loaded, parameters)
+        runs = 0 if model is None else _most_runs(model, parameters)
         yield from checks.check_disk_space(loaded, parameters, plugins, runs)
 
 
 def _robot_first(
-    loaded: LoadedConfig,
-    parameters: Parameters | None,
-    plugins: tuple[Plugin, ...],
-    model: RunTableModel | None,
-    robot: Any,
+    loaded: LoadedConfig, parameters: Parameters | None, plugins: tuple[Plugin, ...], model: RunTableModel | None
 ) -> Iterator[Finding]:
     """Yield the findings on the robot, then those of the plugins, which are checked with the robot that was meant.
 
@@ -286,10 +264,11 @@ def _robot_first(
     if parameters is not None:
         yield from check_robot(loaded, parameters, plugins)
     unbuilt = unbuilt_names(loaded, plugins)
+    robot: Any = parameters.robot if parameters is not None else getattr(loaded.config, "robot", None)
     if parameters is not None and parameters.robots:
         yield from _cold_robots(len(parameters.robots), None if model is None else model.warm_up)
         links = parameters.links
-        yield from _of_each(parameters.robots, lambda link: check_plugins(plugins, model, link, links, unbuilt))
+        yield from _of_each(parameters, lambda link: check_plugins(plugins, model, link, links, unbuilt))
     elif robot is None:
         yield from check_plugins(plugins, model, None, unbuilt=unbuilt)
     elif isinstance(robot, str) and (meant := meant_robot(robot)) is not None:
@@ -304,9 +283,12 @@ def _cold_robots(count: int, warm_up: WarmUp | None) -> Iterator[Finding]:
         yield Finding.warning("warm_up", problem, f"Plan as many as there are robots, {count}: each robot has one.")
 
 
-def _of_each(robots: Mapping[str, str], look: Callable[[str], list[Finding]]) -> Iterator[Finding]:
-    """Yield the findings on each robot, with its name; one that all have is yielded once."""
-    found = {name: look(link) for name, link in robots.items()}
+def _of_each(parameters: Parameters, look: Callable[[str | None], Iterable[Finding]]) -> Iterator[Finding]:
+    """Yield the findings on the robot; of several, those on each with its name, and once those that all have."""
+    if not parameters.robots:
+        yield from look(parameters.robot)
+        return
+    found = {name: list(look(link)) for name, link in parameters.robots.items()}
     alike = [each for each in next(iter(found.values())) if all(each in others for others in found.values())]
     yield from alike
     for name, findings in found.items():
@@ -379,8 +361,5 @@ def measure_columns(
     columns = columns.with_all_of(OPERATOR_OWNER).with_all_of(ROBOTS_OWNER)
     if parameters is not None and parameters.quality_columns:
         columns = columns.with_quality()
-    try:
-        _ = model and TableLayout.of_model(model, columns.names)
-    except DesignError as error:
-        findings += error.findings
+    findings += DesignError.raised_by(TableLayout.of_model, model, columns.names) if model else ()
     return columns

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
 from importlib.metadata import version
 from itertools import filterfalse
 from pathlib import Path
@@ -119,10 +118,8 @@ def check_registration(
         return [Finding.error(str(path), problem, fix)]
     if model is None or model.is_too_large:
         return []
-    differing: Sequence[str] = list(
-        differences(found.content, registration_content(loaded, model, parameters, columns))
-    )
-    if not differing:
+    now = registration_content(loaded, model, parameters, columns)
+    if not (differing := listed(differences(found.content, now))):
         return []
-    problem = f"the config differs from what was registered on {found.registered_at[:10]}: {listed(differing)}"
+    problem = f"the config differs from what was registered on {found.registered_at[:10]}: {differing}"
     return [Finding.warning(str(path), problem, "Follow the registration; the report lists each deviation from it.")]

@@ -25,16 +25,13 @@ from robot_runner.core.words import listed
 
 CONFIG_CLASS = "RobotRunnerConfig"
 _CONFIG_BASE = "ExperimentConfig"
+#: The method of a config that makes its design; that of the earlier tools, too.
+DESIGN_METHODS = frozenset({"create_run_table", "create_run_table_model"})
 
 
 @dataclass(frozen=True, slots=True)
 class ConfigSource:
-    """A config file that parses and has a config class.
-
-    Attributes:
-        path: absolute.
-        class_name: the class that describes the experiment.
-    """
+    """A config file that parses, by its absolute path, and has a class that describes the experiment."""
 
     path: Path
     text: str
@@ -61,11 +58,9 @@ def read_tree(path: Path) -> tuple[str, ast.Module]:
     try:
         return text, parsed(text, str(path))
     except SyntaxError as error:
-        raise ConfigError(
-            f"the file is not Python: {error.msg}: {(error.text or '').strip()!r}",
-            where=f"{path}:{error.lineno or 0}",
-            fix="Correct the syntax of this line (or of the one before it).",
-        ) from error
+        problem = f"the file is not Python: {error.msg}: {(error.text or '').strip()!r}"
+        fix = "Correct the syntax of this line (or of the one before it)."
+        raise ConfigError(problem, where=f"{path}:{error.lineno or 0}", fix=fix) from error
     except ValueError as error:
         raise ConfigError(f"the file is not Python: {error}", where=str(path), fix="Name a Python file.") from error
 
@@ -107,11 +102,8 @@ def _read(path: Path) -> str:
         problem = "the path names a folder, not a config file"
         raise ConfigError(problem, where=str(path), fix=_config_of(path)) from error
     except (UnicodeDecodeError, SyntaxError) as error:
-        raise ConfigError(
-            "the file is not text in UTF-8, nor as it declares",
-            where=str(path),
-            fix="Name a Python file, saved as UTF-8.",
-        ) from error
+        fix = "Name a Python file, saved as UTF-8."
+        raise ConfigError("the file is not text in UTF-8, nor as it declares", where=str(path), fix=fix) from error
     except OSError as error:
         refusal = storage_error(path, "read", error)
         raise ConfigError(refusal.problem, where=refusal.where, fix=refusal.fix) from error
@@ -146,17 +138,13 @@ def _config_class(path: Path, tree: ast.Module) -> str:
     derived = {_CONFIG_BASE}
     for name in names:
         derived |= {name} if bases[name] & derived else set()
-    last = [
-        name for name in names if name in derived and not any(name in bases[each] for each in derived & bases.keys())
-    ]
+    others = [bases[each] for each in derived & bases.keys()]
+    last = [name for name in names if name in derived and not any(name in each for each in others)]
     if len(last) == 1:
         return last[0]
     if last:
-        raise ConfigError(
-            f"the file has {len(last)} config classes: {', '.join(last)}",
-            where=str(path),
-            fix=f"Name the one that is to be executed {CONFIG_CLASS}.",
-        )
+        fix = f"Name the one that is to be executed {CONFIG_CLASS}."
+        raise ConfigError(f"the file has {len(last)} config classes: {', '.join(last)}", where=str(path), fix=fix)
     fix = f"Describe the experiment in a class {CONFIG_CLASS}."
     if len(names) == 1 and nearest(CONFIG_CLASS, names) is None and not bases[names[0]]:
         fix = f"Rename the class {names[0]} to {CONFIG_CLASS}, or derive it: class {names[0]}({_CONFIG_BASE})."
@@ -180,50 +168,45 @@ _ROOT = "plugins"
 @contextmanager
 def activating_imports() -> Iterator[list[type[Plugin]]]:
     """Let `import plugins.<kind>.<name>` import an installed plugin; yields the classes that were imported so."""
-    activated: list[type[Plugin]] = []
-    finder = _PluginFinder(activated)
-    sys.meta_path.append(finder)
+    stand_ins = _StandIns()
+    sys.meta_path.append(stand_ins)
     try:
-        yield activated
+        yield stand_ins.activated
     finally:
-        sys.meta_path.remove(finder)
+        sys.meta_path.remove(stand_ins)
         specs = {name: getattr(module, "__spec__", None) for name, module in sys.modules.items()}
-        for name in [name for name, spec in specs.items() if isinstance(getattr(spec, "loader", None), _StandInLoader)]:
+        for name in [name for name, spec in specs.items() if isinstance(getattr(spec, "loader", None), _StandIns)]:
             del sys.modules[name]
 
 
-class _PluginFinder(MetaPathFinder):
-    def __init__(self, activated: list[type[Plugin]]) -> None:
-        self._activated = activated
+class _StandIns(MetaPathFinder, Loader):
+    """Stands in for the modules `plugins`, `plugins.<kind>` and `plugins.<kind>.<name>`; the last one is a plugin."""
+
+    def __init__(self) -> None:
+        self.activated: list[type[Plugin]] = []
 
     def find_spec(
         self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None
     ) -> ModuleSpec | None:
-        """Offer `plugins`, `plugins.<kind>` and `plugins.<kind>.<name>`."""
+        """Offer such a module."""
         del path, target
-        root, _, rest = fullname.partition(".")
-        kind, _, name = rest.partition(".")
+        root, kind, name = _parts_of(fullname)
         if root != _ROOT or (kind and kind not in GROUPS) or "." in name:
             return None
-        return ModuleSpec(fullname, _StandInLoader(self._activated, kind, name), is_package=not name)
-
-
-class _StandInLoader(Loader):
-    def __init__(self, activated: list[type[Plugin]], kind: str, name: str) -> None:
-        self._activated = activated
-        self._kind = kind
-        self._name = name
-
-    def create_module(self, spec: ModuleSpec) -> ModuleType | None:
-        """Let Python make the module."""
-        del spec
-        return None
+        return ModuleSpec(fullname, self, is_package=not name)
 
     def exec_module(self, module: ModuleType) -> None:
         """Put the plugin's class into its module, and activate it."""
-        if not self._name:
+        _, kind, name = _parts_of(module.__name__)
+        if not name:
             return
-        plugin = find_plugin(self._kind, self._name)
-        setattr(module, self._name, plugin)
-        if plugin not in self._activated:
-            self._activated.append(plugin)
+        plugin = find_plugin(kind, name)
+        setattr(module, name, plugin)
+        if plugin not in self.activated:
+            self.activated.append(plugin)
+
+
+def _parts_of(module: str) -> tuple[str, str, str]:
+    root, _, rest = module.partition(".")
+    kind, _, name = rest.partition(".")
+    return root, kind, name

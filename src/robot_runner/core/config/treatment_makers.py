@@ -6,7 +6,7 @@ Packages announce their makers in the group `robot_runner.preparations`.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from dataclasses import dataclass
 from functools import partial
@@ -97,12 +97,10 @@ def known_treatments(folder: ExperimentFolder) -> dict[str, Any]:
     Empty for a new experiment, and for a damaged folder, which is reported elsewhere.
     """
     known: dict[str, Any] = {}
-    try:
+    with suppress(StorageError, ExecutionError, KeyError, TypeError):
         for record in read_journal(folder.journal, kinds={PREPARED}):
             known |= record["treatments"]
         if not known and folder.manifest.exists():
             manifest = read_manifest(folder.manifest)
             known = {point.name: manifest.get(point.name, {}) for point in entry_points("preparations")}
-    except (StorageError, ExecutionError, KeyError, TypeError):
-        return known
     return known

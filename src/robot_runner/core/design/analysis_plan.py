@@ -15,11 +15,6 @@ from robot_runner.core.errors import DesignError, Finding, did_you_mean
 #: Covariates that are not measures: the place in the order of execution (from 1), and the seconds since the first run.
 ORDER, ELAPSED = "order", "elapsed"
 
-_DEFAULT_ALPHA = 0.05
-_KEYS = ("measures", "secondary", "alpha", "correction", "family", "estimand", "statistic", "blocks", "hypotheses")
-#: Choices that are left out of plain data when not made, so that plans of earlier versions compare as equal.
-_LATER_KEYS = ("outliers", "doubtful", "covariates")
-
 
 class Correction(Enum):
     """How p-values are adjusted where many comparisons are made.
@@ -100,6 +95,7 @@ class AnalysisPlan:
         DesignError: a choice is invalid; `findings` lists all problems.
 
     Example:
+        >>> from robot_runner import Hypothesis
         >>> plan = AnalysisPlan(
         ...     measures=["Energy"],
         ...     hypotheses=[Hypothesis("The task affects the CPU.", measure="CPU", factors="Task")],
@@ -126,7 +122,7 @@ class AnalysisPlan:
         measures: str | Sequence[str] = (),
         *,
         secondary: str | Sequence[str] = (),
-        alpha: float = _DEFAULT_ALPHA,
+        alpha: float = 0.05,
         correction: Correction = Correction.HOLM,
         family: Family = Family.PRIMARY,
         estimand: Estimand = Estimand.MEAN,
@@ -145,9 +141,8 @@ class AnalysisPlan:
             "doubtful": doubtful,
         }
         findings = [*_choice_findings(alpha, choices, blocks), *_hypotheses_findings(hypotheses)]
-        findings += names_findings("analysis", "measures", names_of(measures))
-        findings += names_findings("analysis", "secondary", names_of(secondary))
-        findings += names_findings("analysis", "covariates", names_of(covariates))
+        for what, names in (("measures", measures), ("secondary", secondary), ("covariates", covariates)):
+            findings += names_findings("analysis", what, names_of(names))
         if outliers is not None and not isinstance(outliers, Outliers):
             fix = "Write Outliers(interquartile_ranges=3), or another rule."
             findings.append(Finding.error("analysis", f"outliers is {outliers!r}", fix))
@@ -204,6 +199,7 @@ class AnalysisPlan:
 
     def as_mapping(self) -> dict[str, Any]:
         """Return the plan as plain data, for the manifest."""
+        # Left out when not chosen, so that plans of earlier versions compare as equal.
         later = {
             "outliers": None if self.outliers is None else self.outliers.as_mapping(),
             "doubtful": None if self.doubtful is Doubtful.KEEP else self.doubtful.value,
@@ -229,11 +225,10 @@ class AnalysisPlan:
         Raises:
             DesignError: it is no such plan, or of a later version.
         """
-        keys = (*_KEYS, *_LATER_KEYS)
-        unknown = [str(key) for key in plain if key not in keys]
+        unknown = [str(key) for key in plain if key not in cls.__slots__]
         if unknown:
             problem = f"there is no choice {unknown[0]!r}"
-            raise DesignError(problem, where="analysis", fix=did_you_mean(unknown[0], keys))
+            raise DesignError(problem, where="analysis", fix=did_you_mean(unknown[0], cls.__slots__))
         try:
             given: dict[str, Any] = {**plain}
             for kind in _CHOICES:
@@ -244,9 +239,8 @@ class AnalysisPlan:
                 given["outliers"] = Outliers(**given["outliers"])
             return cls(**given)
         except (TypeError, ValueError) as error:
-            raise DesignError(
-                f"the text is not an analysis plan: {error}", where="analysis", fix="Correct it."
-            ) from error
+            fix = "Correct it."
+            raise DesignError(f"the text is not an analysis plan: {error}", where="analysis", fix=fix) from error
 
 
 def _choice_findings(alpha: object, choices: Mapping[str, object], blocks: object) -> Iterator[Finding]:

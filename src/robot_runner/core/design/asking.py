@@ -102,13 +102,7 @@ class AdaptiveDesign(Protocol):
         """Yield an error where the design cannot have so many repetitions of each combination."""
 
     def asking(self, factors: Sequence[Factor], is_allowed: IsAllowed, repetitions: int) -> Asking:
-        """Return the object that decides.
-
-        Args:
-            factors: of the config.
-            is_allowed: returns whether a combination is not excluded.
-            repetitions: how often each combination is executed.
-        """
+        """Return the object that decides; `is_allowed` returns whether a combination is not excluded."""
 
 
 def decides_order(design: object) -> bool:

@@ -19,12 +19,7 @@ _PLAIN = (bool, int, float, str, type(None))
 
 @dataclass(frozen=True, slots=True)
 class BatchRun:
-    """A run of a batch, as the journal keeps it.
-
-    Attributes:
-        treatments: by factor, as text in the run table.
-        repetition: from 1; 0 for a warm-up run.
-    """
+    """A run of a batch, as the journal keeps it: treatments as texts, by factor; repetition 0 for a warm-up run."""
 
     run_id: str
     treatments: Mapping[str, str]

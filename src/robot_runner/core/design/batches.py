@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, replace
-from itertools import count
+from itertools import count, repeat
 from re import fullmatch
 from typing import Any
 
@@ -83,11 +83,8 @@ def records_of(batches: Sequence[Batch]) -> Iterator[dict[str, Any]]:
 def extended_batch(batch: Batch, decision: Decision, planned: Batch, *, is_first: bool) -> tuple[Batch, dict[str, Any]]:
     """Return a batch with the runs that were decided on, and the fields of the journal's record of it.
 
-    Args:
-        batch: the last one, as it was before.
-        decision: what was decided.
-        planned: its runs, in the order of execution, and the factors with the treatments that these need.
-        is_first: whether the journal does not have the first plan yet.
+    `batch` is the last one, and `planned` has its runs in the order of execution, and the factors that these need. With
+    `is_first` the journal does not have the first plan yet.
     """
     is_repetition = decision.kind == REPEATED
     record: dict[str, Any] = {"repetition": planned.repetitions} if is_repetition else {"name": decision.name}
@@ -227,14 +224,8 @@ def next_batch(
 ) -> Batch:
     """Return the batch of runs that are missing, perhaps none.
 
-    Args:
-        begun: the present design, by the run table.
-        design: the design to be reached.
-        warm_up: how the new runs warm up; None where they do not.
-        order: of the new runs.
-        number: of the batch.
-        at: when it is added (UTC).
-        wanted: the combination and repetition of each run, in the order as written; None for all that are missing.
+    `design` is to be reached; `wanted` has the combination and repetition of each run in the order as written, None for
+    all that are missing.
     """
     missing = list(missing_runs(begun.counted_runs, design) if wanted is None else wanted)
     blocks = _block_of(missing, order.blocks)
@@ -242,16 +233,10 @@ def next_batch(
     first = len(begun.runs) + 1
     last_block = max((run.block or 0 for run in begun.runs), default=0)
     ids = _free_ids(begun.runs)
+    block_of = repeat(None, len(places)) if blocks is None else [last_block + blocks[place] + 1 for place in places]
     runs = [
-        PlannedRun(
-            next(ids),
-            first + index,
-            missing[place][0],
-            missing[place][1],
-            None if blocks is None else last_block + blocks[place] + 1,
-            number,
-        )
-        for index, place in enumerate(places)
+        PlannedRun(next(ids), first + index, *missing[place], block, number)
+        for index, (place, block) in enumerate(zip(places, block_of, strict=True))
     ]
     warm_ups = sum(run.is_warm_up for run in begun.runs)
     return Batch(

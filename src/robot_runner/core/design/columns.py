@@ -76,11 +76,8 @@ def is_fit_for_heading(character: str) -> bool:
 def name_findings(name: object, *, kind: str, repetitions: int = 1, warms_up: bool = False) -> Iterator[Finding]:
     """Yield an error for each reason why `name` cannot be a heading.
 
-    Args:
-        name: as given.
-        kind: what it is the name of, as in `factor`.
-        repetitions: how often each combination is repeated; from two on, `Repetition` is reserved.
-        warms_up: whether there are warm-up runs; then `warm_up` is reserved.
+    `kind` says what it is the name of, as in `factor`. `Repetition` is reserved where each combination has two
+    `repetitions` or more, and `warm_up` where there are warm-up runs (`warms_up`).
     """
     where = f"{kind} {name!r}"
     if not isinstance(name, str):

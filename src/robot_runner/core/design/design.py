@@ -36,12 +36,7 @@ class DesignedRuns:
 
     @classmethod
     def in_order(cls, runs: Iterable[tuple[Combination, int, int | None]], facts: Mapping[str, Any]) -> DesignedRuns:
-        """Return runs numbered in this order.
-
-        Args:
-            runs: combination, repetition (from 1) and block (from 1, or None) of each, in the order of execution.
-            facts: see the attribute.
-        """
+        """Return runs (combination, repetition from 1, block from 1 or None) numbered in this order of execution."""
         planned = (
             PlannedRun(numbered_run_id(number), number, combination, repetition, block)
             for number, (combination, repetition, block) in zip(count(1), runs, strict=False)
@@ -120,6 +115,7 @@ class FullFactorial:
     """Every combination of the factors' treatments, the default of a run-table model.
 
     Example:
+        >>> from robot_runner import Factor
         >>> factors = [Factor("Task", ["Video", "Network"]), Factor("Speed", [0.1, 0.2])]
         >>> len(FullFactorial().choose(factors, lambda combination: True).combinations)
         4

@@ -68,11 +68,7 @@ class Allowed:
         self._matches += [_predicating(where, predicate) for where, predicate in self.predicates]
 
     def __call__(self, combination: Combination) -> bool:
-        """Return whether no exclusion matches.
-
-        Raises:
-            DesignError: a predicate raised.
-        """
+        """Return whether no exclusion matches; raise a `DesignError` if a predicate raises."""
         return not any(matches(combination) for matches in self._matches)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import shlex
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
@@ -242,7 +243,7 @@ class _Extending:
             yield Finding.error(where, f"{asked:,} repetitions are more than {MAX_RUNS:,} runs", "Give fewer.")
         if counting and asked > there:
             problem = f"the factor {counting[0]!r} counts the repetitions of this experiment"
-            yield Finding.error(where, problem, f"Add treatments to it: --treatments {counting[0]}=... .")
+            yield Finding.error(where, problem, _adding_treatments(counting[0]))
 
     def _treatment_findings(self, name: str, texts: Sequence[str]) -> Iterator[Finding]:
         where = f"--treatments {name}"
@@ -250,7 +251,7 @@ class _Extending:
         if factor is None:
             fix = did_you_mean(name, self._there)
             if name in self._own:
-                fix = f"The config has it and the run table not yet: --factor {name}=DEFAULT."
+                fix = f"The config has it and the run table not yet: --factor {shlex.quote(f'{name}=DEFAULT')}."
             yield Finding.error(where, f"the run table has no factor {name!r}", fix)
         elif self._is_listed:
             fix = "Write their rows into the run table." if self._begun.is_by_hand else "Add them to the config."
@@ -263,13 +264,14 @@ class _Extending:
         where, own = f"--factor {name}", self._own.get(name)
         if name in self._there:
             problem = "the run table has this factor already"
-            yield Finding.error(where, problem, f"Add treatments to it: --treatments {name}=... .")
+            yield Finding.error(where, problem, _adding_treatments(name))
         elif self._is_listed and own is None:
             yield Finding.error(where, _WRITTEN_ONE_BY_ONE, "Add it to the config, or begin another experiment.")
         elif new is None:
             problem = f"the config has the factor {name!r}, and nothing says which treatment the runs so far had"
             known = ", ".join(own.texts if own else ())
-            yield Finding.error(f"factor {name!r}", problem, f"Say it: --factor {name}=DEFAULT (one of {known}).")
+            fix = f"Say it: --factor {shlex.quote(f'{name}=DEFAULT')} (one of {known})."
+            yield Finding.error(f"factor {name!r}", problem, fix)
         elif own is not None:
             if own.position_of_text(new.default) is None:
                 problem = f"{new.default!r} is not a treatment of the factor in the config"
@@ -278,12 +280,14 @@ class _Extending:
                 yield from _text_findings(where, text, own, own)
         elif not new.treatments:
             problem = f"the factor would have the treatment {new.default!r} alone"
-            yield Finding.error(where, problem, f"Give others: --factor {name}={new.default}:OTHER,... .")
+            option = shlex.quote(f"{name}={new.default}:OTHER,...")
+            yield Finding.error(where, problem, f"Give others: --factor {option} .")
         else:
-            try:
-                Factor(name, _by_looks((new.default, *new.treatments)))
-            except DesignError as error:
-                yield from error.findings
+            yield from DesignError.raised_by(Factor, name, _by_looks((new.default, *new.treatments)))
+
+
+def _adding_treatments(name: str) -> str:
+    return f"Add treatments to it: --treatments {shlex.quote(f'{name}=...')} ."
 
 
 def _text_findings(where: str, text: str, there: Factor, like: Factor) -> Iterator[Finding]:

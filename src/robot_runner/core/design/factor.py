@@ -81,11 +81,8 @@ def _text_or_finding(where: str, treatment: Any) -> str | Finding:
 def _same_text(where: str, earlier: Any, later: Any, text: str) -> Finding:
     if type(earlier) is type(later):
         return _given_twice(where, later)
-    return Finding.error(
-        where,
-        f"treatments {earlier!r} and {later!r} would both be written {text!r} in the run table",
-        "Change one of them so that they look different.",
-    )
+    problem = f"treatments {earlier!r} and {later!r} would both be written {text!r} in the run table"
+    return Finding.error(where, problem, "Change one of them so that they look different.")
 
 
 def _same_value(where: str, by_value: dict[tuple[type, Hashable], Any], treatment: Any) -> Iterator[Finding]:
@@ -98,11 +95,8 @@ def _same_value(where: str, by_value: dict[tuple[type, Hashable], Any], treatmen
 
 
 def _given_twice(where: str, treatment: Any) -> Finding:
-    return Finding.error(
-        where,
-        f"treatment {treatment!r} is given twice",
-        "Remove one; repetitions=2 executes each combination twice.",
-    )
+    fix = "Remove one; repetitions=2 executes each combination twice."
+    return Finding.error(where, f"treatment {treatment!r} is given twice", fix)
 
 
 # Factors.
@@ -131,6 +125,7 @@ class Factor:
         DesignError: the name or a treatment is invalid; `findings` lists all problems.
 
     Example:
+        >>> from robot_runner import Range
         >>> Factor("Repetition", range(1, 4)).treatments
         (1, 2, 3)
         >>> Factor("Speed", Range(0.05, 0.22, unit="m/s")).treatments
@@ -148,12 +143,7 @@ class Factor:
     _positions: Mapping[str, int] = field(repr=False, compare=False)
 
     def __init__(
-        self,
-        name: str,
-        treatments: Iterable[Any] | Range,
-        *,
-        unit: str = "",
-        when: Mapping[Any, Any] | None = None,
+        self, name: str, treatments: Iterable[Any] | Range, *, unit: str = "", when: Mapping[Any, Any] | None = None
     ) -> None:
         where = f"factor {name!r}"
         span = treatments if isinstance(treatments, Range) else None

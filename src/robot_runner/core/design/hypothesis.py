@@ -59,20 +59,21 @@ class Hypothesis:
         within: float | None = None,
         below: float | None = None,
     ) -> None:
-        object.__setattr__(self, "statement", statement)
-        object.__setattr__(self, "measure", measure)
-        object.__setattr__(self, "factors", names_of(factors))
-        where = f"hypothesis {statement!r}"
-        findings = [*_text_findings(self), *names_findings(where, "factors", self.factors)]
-        findings += [*_bound_findings(where, contrast, within, below)]
-        findings += _contrast_findings(where, self.factors, contrast, within)
-        if not self.factors:
+        where, named = f"hypothesis {statement!r}", names_of(factors)
+        findings = [*_text_findings(where, statement=statement, measure=measure)]
+        findings += [*names_findings(where, "factors", named), *_bound_findings(where, contrast, within, below)]
+        findings += _contrast_findings(where, named, contrast, within)
+        if not named:
             findings.append(Finding.error(where, "the hypothesis names no factor", "Give factors=..."))
         DesignError.refuse(findings)
         weights = None if contrast is None else {str(name): float(weight) for name, weight in contrast.items()}
-        object.__setattr__(self, "contrast", weights)
-        object.__setattr__(self, "within", None if within is None else float(within))
-        object.__setattr__(self, "below", None if below is None else float(below))
+        bounds = {
+            "within": None if within is None else float(within),
+            "below": None if below is None else float(below),
+        }
+        given = {"statement": statement, "measure": measure, "factors": named, "contrast": weights, **bounds}
+        for name, value in given.items():
+            object.__setattr__(self, name, value)
 
     @property
     def is_contrast(self) -> bool:
@@ -129,11 +130,10 @@ def names_findings(where: str, what: str, names: tuple[Any, ...]) -> Iterator[Fi
             yield Finding.error(where, problem, "Give names, such as 'Energy'.")
 
 
-def _text_findings(hypothesis: Hypothesis) -> Iterator[Finding]:
-    for name in ("statement", "measure"):
-        value = getattr(hypothesis, name)
+def _text_findings(where: str, **texts: object) -> Iterator[Finding]:
+    for name, value in texts.items():
         if not isinstance(value, str) or not value.strip():
-            yield Finding.error(f"hypothesis {hypothesis.statement!r}", f"{name} is {value!r}", "Give a text.")
+            yield Finding.error(where, f"{name} is {value!r}", "Give a text.")
 
 
 def _bound_findings(where: str, contrast: object, within: object, below: object) -> Iterator[Finding]:

@@ -20,7 +20,6 @@ class ListedRun:
     """One run of a listed design.
 
     Attributes:
-        run_id: names the run in the table and its folder.
         treatments: one of each factor's own treatments, by the factor's name.
         repetition: which repetition of the combination it is, from 1.
 
@@ -54,17 +53,12 @@ class ListedRunTableModel(RunTableModel):
     ) -> None:
         """Check the whole design.
 
-        Args:
-            factors: what is varied; perhaps none, where the same thing is repeated.
-            runs: the runs, in the order of execution.
-            data_columns: the measures with columns in the run table.
-            order: how the listed order was made.
+        There are perhaps no factors, where the same thing is repeated; `order` is how the listed order was made.
 
         Raises:
             DesignError: it is invalid; `findings` lists all problems.
         """
-        findings = [*run_findings([run.run_id for run in runs]), *_column_findings(factors, data_columns)]
-        DesignError.refuse(findings)
+        DesignError.refuse([*run_findings([run.run_id for run in runs]), *_column_findings(factors, data_columns)])
         # Without `RunTableModel.__init__`, which enumerates all combinations.
         vars(self).update(factors=tuple(factors), repetitions=1, data_columns=tuple(data_columns), warnings=())
         self.runs: Final = tuple(runs)

@@ -41,10 +41,7 @@ class RunOrder:
 def arranged(count: int, block_of: Sequence[int] | None, order: RunOrder) -> Sequence[int]:
     """Return the numbers from 0 to `count` - 1 in the order in which the runs are executed.
 
-    Args:
-        count: how many runs there are.
-        block_of: the number of each run's block, from 0; None where all runs are one block.
-        order: whether and from which seed the order is randomised.
+    `block_of` has the number of each run's block, from 0; None where all runs are one block.
     """
     if block_of is None and not order.shuffle:
         return range(count)
@@ -84,7 +81,6 @@ class PlannedRun(NamedTuple):
     Attributes:
         run_id: names the run in the table and its folder.
         number: the place in the order of execution, from 1.
-        combination: the treatment of each factor, by the factor's name.
         repetition: which repetition of the combination it is, from 1; 0 for a warm-up run.
         block: which block it belongs to, from 1; None where the design has no blocks.
         batch: in which batch it was planned, from 1; each extension of an experiment adds one.
@@ -113,13 +109,8 @@ def planned_runs(
 ) -> list[PlannedRun]:
     """Return the runs in the order of execution.
 
-    As written, all combinations come once, then all again.
-
-    Args:
-        combinations: those that are executed.
-        repetitions: how often each of them is.
-        block_of: the number of each run's block in the order as written, from 0 without gaps; None without blocks.
-        order: whether and from which seed the order is randomised.
+    As written, all combinations come once, then all again. `block_of` has the number of each run's block in that order,
+    from 0 without gaps.
     """
     count = len(combinations)
     places = arranged(count * repetitions, block_of, order)

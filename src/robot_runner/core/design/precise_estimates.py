@@ -135,19 +135,15 @@ class Judgement:
         what = "mean" if self.rule.of is PreciseOf.MEANS else "difference"
         wanted = f"± {self.rule.wanted_in_words} is wanted"
         looks = f", {self.in_a_row} of {LOOKS_IN_A_ROW} looks in a row" if self.is_precise and self.needs_more else ""
-        return (
-            f"{measure}: {shown} for {worst.of}, {wanted} ({known} of {counted(len(self.known), what)} precise{looks})"
-        )
+        precise = f"{known} of {counted(len(self.known), what)} precise{looks}"
+        return f"{measure}: {shown} for {worst.of}, {wanted} ({precise})"
 
 
 def judge(rule: Precision, looks: tuple[int, int], repetitions: int, runs: Iterable[Observed]) -> Judgement:
     """Judge how precisely a rule is fulfilled, and at how many looks in a row.
 
-    Args:
-        rule: what is asked for.
-        looks: the numbers of repetitions at the first look and at the last possible one of all rules.
-        repetitions: how many there are now.
-        runs: all runs that count, those without a value included.
+    `looks` are the numbers of repetitions at the first look and at the last possible one of all rules; `runs` are all
+    that count, those without a value included.
     """
     first, last = looks
     level = level_at_each_look(first, max(last, repetitions, first))
@@ -217,10 +213,7 @@ def _compared(
 def uncompared(where: str, rules: Sequence[Precision], combinations: Iterable[Combination]) -> Iterator[Finding]:
     """Yield a warning of the differences that rules do not look at, as where another factor applies to some runs only.
 
-    Args:
-        where: the place of the rules.
-        rules: those of `repeat_until`.
-        combinations: all that are executed; read only where differences are asked for.
+    `combinations`, all that are executed, are read only where differences are asked for.
     """
     if any(rule.of is PreciseOf.DIFFERENCES for rule in rules):
         known = dict.fromkeys(tuple(texts_of(each).items()) for each in combinations)
@@ -270,10 +263,7 @@ def _known(rule: Precision, level: float, of: str, values: Sequence[float], whol
 class UntilPrecise:
     """Asks for one repetition after another until all rules are fulfilled, or give up.
 
-    Args:
-        rules: one or more.
-        factors: of the design, with all treatments.
-        least: how many repetitions there are at the first look.
+    At the first look there are `least` repetitions.
     """
 
     def __init__(self, rules: Sequence[Precision], factors: Sequence[Factor], least: int) -> None:

@@ -185,5 +185,4 @@ def _findings(measure: object, half_width: object, number: float, at_most: objec
         fix = f"Give {LEAST_REPETITIONS} to {_MOST_REPETITIONS} repetitions, all runs of a combination together."
         yield Finding.error(where, f"at_most is {at_most}", fix)
     if not isinstance(of, PreciseOf):
-        names = [each.value for each in PreciseOf]
-        yield Finding.error(where, f"of is {of!r}", did_you_mean(str(of), names))
+        yield Finding.error(where, f"of is {of!r}", did_you_mean(str(of), [each.value for each in PreciseOf]))

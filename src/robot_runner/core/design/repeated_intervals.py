@@ -30,11 +30,7 @@ _SECANTS = 3
 
 
 def half_width_of(values: Sequence[float], level: float) -> float:
-    """Return half the width of Student's interval of a mean, in the unit of the values.
-
-    Args:
-        values: two or more.
-        level: the confidence at this look, 0..1.
+    """Return half the width of Student's interval of the mean of two or more values, in their unit; `level` is 0..1.
 
     Example:
         >>> round(half_width_of([9.0, 10.0, 11.0], 0.95), 3)
@@ -50,11 +46,7 @@ def half_width_of(values: Sequence[float], level: float) -> float:
 
 @cache
 def t_quantile(probability: float, freedom: int) -> float:
-    """Return the quantile of Student's t.
-
-    Args:
-        probability: 0.5 to below 1.
-        freedom: degrees of freedom, 1 and more.
+    """Return the quantile of Student's t, of a probability from 0.5 to below 1, with 1 and more degrees of freedom.
 
     Example:
         >>> round(t_quantile(0.975, 4), 4)
@@ -94,10 +86,7 @@ def _within(angle: float, freedom: int) -> float:
 def level_at_each_look(first: int, last: int, confidence: float = CONFIDENCE) -> float:
     """Return the level of the interval at each look with which all looks together have a coverage of `confidence`.
 
-    Args:
-        first: how many values there are at the first look, 2 and more.
-        last: how many there are at the last; there is a look at each number between.
-        confidence: the joint coverage, 0.5 to 0.999.
+    There is a look at each number of values from `first`, 2 and more, to `last`. The joint coverage is 0.5 to 0.999.
 
     Example:
         >>> level_at_each_look(7, 7)

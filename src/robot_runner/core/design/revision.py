@@ -53,20 +53,12 @@ class Revision:
 
     @property
     def commit(self) -> str:
-        """The hash of the commit.
-
-        Raises:
-            DesignError: the experiment has not begun.
-        """
+        """The hash of the commit; raise a `DesignError` if the experiment has not begun."""
         return self._known(self._commit)
 
     @property
     def path(self) -> str:
-        """The folder of its work tree, built.
-
-        Raises:
-            DesignError: the experiment has not begun.
-        """
+        """The folder of its work tree, built; raise a `DesignError` if the experiment has not begun."""
         return self._known(self._path)
 
     def prepare(self, *, commit: str, path: str) -> None:

@@ -30,10 +30,6 @@ from robot_runner.core.errors import DesignError, Finding
 class RunTable(Sequence[PlannedRun]):
     """All runs of an experiment in the order of execution. Immutable.
 
-    Attributes:
-        model: the model that it was made from.
-        order: of its runs, with the seed.
-
     Example:
         >>> table = RunTableModel([Factor("Task", ["Video", "Network"])], repetitions=2).plan()
         >>> [(run.run_id, run.combination["Task"], run.repetition) for run in table]
@@ -91,6 +87,7 @@ class RunTableModel:
         warnings: findings that do not refuse the design, as on exclusions that remove nothing.
 
     Example:
+        >>> from robot_runner import Factor
         >>> model = RunTableModel(
         ...     [Factor("Task", ["Computation", "Video", "Network"]), Factor("Speed", [0.1, 0.2])],
         ...     exclude_combinations=[{"Task": "Network", "Speed": 0.2}],
@@ -128,7 +125,9 @@ class RunTableModel:
         Raises:
             DesignError: it is invalid; `findings` lists all problems.
         """
-        listed = _as_tuple(factors)
+        # Anything but an iterable of factors stays as it is, for the checks to refuse it.
+        is_listed = isinstance(factors, Iterable) and not isinstance(factors, str | bytes)
+        listed: Any = tuple(factors) if is_listed else factors
         is_full = design is None or isinstance(design, FullFactorial)
         findings = list(design_findings(listed, repetitions, data_columns, shuffle, seed, blocks, warm_up, design))
         if any(finding.where.startswith("factors") for finding in findings):
@@ -136,7 +135,7 @@ class RunTableModel:
         too_large = next(size_findings(listed, repetitions if isinstance(repetitions, int) else 1), None)
         exclusions = None if too_large or not is_full else _applied(listed, exclude_combinations)
         findings += exclusions.errors if exclusions else ()
-        findings += () if is_full else _refused(listed, exclude_combinations)
+        findings += () if is_full else DesignError.raised_by(Allowed, listed, exclude_combinations)
         if findings:
             raise DesignError.of_findings(findings) from (exclusions.cause if exclusions else None)
         self.factors: tuple[Factor, ...] = listed
@@ -352,26 +351,12 @@ class RunTableModel:
         return [number_of[id(combination[blocks])] for combination in self._chosen.combinations] * self.repetitions
 
 
-def _as_tuple(factors: Any) -> Any:
-    """Return the factors as a tuple; anything else unchanged, for the checks to refuse it."""
-    return tuple(factors) if isinstance(factors, Iterable) and not isinstance(factors, str | bytes) else factors
-
-
 def _applied(factors: Sequence[Factor], exclusions: Any) -> Exclusions | None:
     """Apply the exclusions; None if there are none."""
     if isinstance(exclusions, list | tuple) and not exclusions:
         return None
     with garbage_collection_paused():
         return apply_exclusions(factors, full_factorial(factors), exclusions)
-
-
-def _refused(factors: Sequence[Factor], exclusions: Any) -> tuple[Finding, ...]:
-    """Return errors of exclusions that can be found without any combination."""
-    try:
-        Allowed(factors, exclusions)
-    except DesignError as error:
-        return tuple(error.findings)
-    return ()
 
 
 def _ordered(order: RunOrder, seed: int | None, blocks: str | Factor | None) -> RunOrder:

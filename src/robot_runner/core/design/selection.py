@@ -29,11 +29,8 @@ class RunChooser:
     """Chooses runs of one run table.
 
     An expression has ids and treatments, separated by commas. Treatments of one factor are alternatives, those of
-    several factors must all match; a run that is named by its id is chosen, too. Several expressions are united.
-
-    Args:
-        runs: the run table, in the order of execution.
-        has_repetition: whether `Repetition=2` chooses by the repetition.
+    several factors must all match; a run that is named by its id is chosen, too. Several expressions are united. With
+    `has_repetition`, `Repetition=2` chooses by the repetition.
 
     Example:
         >>> from robot_runner.core.design.factor import Factor

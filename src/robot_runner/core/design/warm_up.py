@@ -94,10 +94,7 @@ def warm_up_of(given: object) -> WarmUp | None:
 def with_warm_ups(runs: Sequence[PlannedRun], warm_up: WarmUp | None, *, first: int = 1) -> Sequence[PlannedRun]:
     """Return planned runs with the warm-up runs among them, numbered in the order of execution.
 
-    Args:
-        runs: in the order of execution; those of one batch.
-        warm_up: how they warm up; with None they are returned as they are.
-        first: the number of the first warm-up run.
+    `runs`, in the order of execution, are those of one batch; the first warm-up run has the number `first`.
     """
     if warm_up is None or not runs:
         return runs
@@ -137,9 +134,8 @@ def _findings(runs: object, per: object, each_session: object) -> Iterator[Findi
         yield Finding.error("warm_up", problem, "Give a whole number from 1.")
     elif not 1 <= runs <= _MOST_RUNS:
         shown = f"{runs:,}" if abs(runs) < _READABLE else "a number of many digits"
-        yield Finding.error(
-            "warm_up", f"the number of runs is {shown}", f"Give a whole number from 1 to {_MOST_RUNS:,}."
-        )
+        fix = f"Give a whole number from 1 to {_MOST_RUNS:,}."
+        yield Finding.error("warm_up", f"the number of runs is {shown}", fix)
     if per is not None and not isinstance(per, str | Factor):
         problem = f"per is {per!r}, of type {type(per).__name__}"
         yield Finding.error("warm_up", problem, f"Give the name of a factor, {COMBINATION!r}, or leave it out.")

@@ -59,6 +59,7 @@ class Condition(ABC):
             process or another computer.
 
     Example:
+        >>> from robot_runner import Look
         >>> class Always(Condition):
         ...     def __str__(self) -> str:
         ...         return "anything"
@@ -136,8 +137,7 @@ class Condition(ABC):
             ConditionError: the time is not a number.
         """
         if isinstance(timeout_s, bool) or not isinstance(timeout_s, int | float) or math.isnan(timeout_s):
-            fix = "Give wait a number of seconds."
-            raise ConditionError(f"timeout_s is {timeout_s!r}", where=str(self), fix=fix)
+            raise ConditionError(f"timeout_s is {timeout_s!r}", where=str(self), fix="Give wait a number of seconds.")
         clock = self.clock(context)
         started, told = clock.now(), 0.0
         with ExitStack() as opened:
@@ -155,11 +155,9 @@ class Condition(ABC):
         if look.holds:
             return look
         seen = f": {look.seen}" if look.seen else ""
-        raise ConditionTimeout(
-            f"after {timeout_s:g} s it still did not hold that {self}{seen}",
-            where=context.owner,
-            fix="Look at what is awaited, or allow it more time (timeout_s).",
-        )
+        problem = f"after {timeout_s:g} s it still did not hold that {self}{seen}"
+        fix = "Look at what is awaited, or allow it more time (timeout_s)."
+        raise ConditionTimeout(problem, where=context.owner, fix=fix)
 
     def _facts(self, look: Look, waited: float) -> dict[str, Any]:
         return {"condition": str(self), "seen": look.seen, "seconds": round(waited, 3)}

@@ -50,20 +50,12 @@ class EndingInPlace:
     has_failed = False
 
     def fail(self, owner: str, reason: str) -> None:
-        """Raise the reason.
-
-        Raises:
-            RunFailed: always.
-        """
+        """Raise the reason as a `RunFailed`."""
         del owner
         raise RunFailed(reason)
 
     def stop_mission(self, owner: str, reason: str) -> None:
-        """Raise the reason.
-
-        Raises:
-            MissionStopped: always.
-        """
+        """Raise the reason as a `MissionStopped`."""
         del owner
         raise MissionStopped(reason)
 

@@ -162,11 +162,9 @@ class EventSubscriptionController:
         """
         requests = _requested.get()
         if requests is None:
-            raise ConfigError(
-                "events can be subscribed to only while Robot Runner loads the config",
-                where="EventSubscriptionController",
-                fix="Subscribe in the config's __init__ and start it with `robot-runner run`.",
-            )
+            problem = "events can be subscribed to only while Robot Runner loads the config"
+            fix = "Subscribe in the config's __init__ and start it with `robot-runner run`."
+            raise ConfigError(problem, where="EventSubscriptionController", fix=fix)
         checked_subscriber(event, callback, owner="config", kind=OwnerKind.CONFIG)
         requests.append((event, callback))
 
@@ -179,11 +177,9 @@ class EventSubscriptionController:
         """
         for subscription in subscriptions:
             if not isinstance(subscription, tuple) or len(subscription) != 2:  # noqa: PLR2004 - a pair
-                raise ConfigError(
-                    f"{subscription!r} is not a pair of an event and a callback",
-                    where="EventSubscriptionController.subscribe_to_multiple_events",
-                    fix="Write (RobotRunnerEvents.LAUNCH_MISSION, self.launch_mission).",
-                )
+                problem = f"{subscription!r} is not a pair of an event and a callback"
+                fix = "Write (RobotRunnerEvents.LAUNCH_MISSION, self.launch_mission)."
+                raise ConfigError(problem, where="EventSubscriptionController.subscribe_to_multiple_events", fix=fix)
             cls.subscribe_to_single_event(*subscription)
 
 
@@ -195,17 +191,11 @@ def checked_subscriber(event: object, callback: object, *, owner: str, kind: Own
             would execute nothing.
     """
     if not isinstance(event, RobotRunnerEvents):
-        raise ConfigError(
-            f"{event!r} is not an event",
-            where=owner,
-            fix=did_you_mean(str(event), [known.name for known in RobotRunnerEvents]),
-        )
+        fix = did_you_mean(str(event), [known.name for known in RobotRunnerEvents])
+        raise ConfigError(f"{event!r} is not an event", where=owner, fix=fix)
     if not callable(callback):
-        raise ConfigError(
-            f"the callback of {event.name} is {callback!r}, which cannot be called",
-            where=owner,
-            fix=f"Give a method such as self.{event.callback_name}.",
-        )
+        fix = f"Give a method such as self.{event.callback_name}."
+        raise ConfigError(f"the callback of {event.name} is {callback!r}, which cannot be called", where=owner, fix=fix)
     takes_context = takes_a_context(event.callback_name, callback, owner)
     return Subscriber(event, owner, kind, callback, takes_context)
 
@@ -343,17 +333,16 @@ class EventManager:
         for event, method in methods_of(subject):
             self.subscribe(event, method, owner=owner, kind=kind)
 
-    def subscribers(self, event: RobotRunnerEvents) -> list[Subscriber]:
-        """Return the subscribers of `event`, in the order in which they are called."""
-        heard = self._subscribers.get(event, [])
-        return heard[::-1] if event.is_closing else heard
+    def subscribers(self, *events: RobotRunnerEvents) -> list[Subscriber]:
+        """Return the subscribers of each event, in the order in which they are called."""
+        called: list[Subscriber] = []
+        for event in events:
+            known = self._subscribers.get(event, [])
+            called += reversed(known) if event.is_closing else known
+        return called
 
     def emit(
-        self,
-        event: RobotRunnerEvents,
-        context_for: Callable[[str], object],
-        *,
-        but_not: Collection[str] = (),
+        self, event: RobotRunnerEvents, context_for: Callable[[str], object], *, but_not: Collection[str] = ()
     ) -> Emission:
         """Call the subscribers of `event`, except those of the owners in `but_not`.
 

@@ -19,6 +19,8 @@ MeasureValue = int | float | bool | str | None
 
 #: A larger integer is a mistake, and readers of the table would take it for infinity.
 _LARGEST = sys.float_info.max
+#: Longer texts, such as a whole log, make the run table larger than its readers take, after some runs.
+_LONGEST_TEXT = 1_000_000
 
 
 class Origin(Enum):
@@ -112,6 +114,7 @@ class Measure:
         """Return the same measure for one phase; a sum and a maximum may be less there than the least of a mission.
 
         Example:
+            >>> from robot_runner.plugins import Over
             >>> Measure("Energy", "J", "Energy drawn.", over=Over.SUM).in_phase("navigate").name
             'Energy.navigate'
         """
@@ -126,11 +129,7 @@ def with_phases(measures: Sequence[Measure], phases: Sequence[str]) -> tuple[Mea
 
 @dataclass(frozen=True, slots=True)
 class PublishedMeasure:
-    """A measure's value in one run, with its publisher, its origin, and its doubts.
-
-    Attributes:
-        doubts: why the value is doubtful, or missing; empty for a good one.
-    """
+    """A measure's value in one run, with its publisher, its origin, and why it is doubtful, or missing, if it is."""
 
     name: str
     value: MeasureValue
@@ -181,7 +180,7 @@ def as_measure_value(name: str, value: object, *, where: str) -> MeasureValue:
     Numbers of other libraries (numpy's scalars among them) become int or float; an empty text is a missing value.
 
     Raises:
-        MeasureError: it is not a number, a bool, a string or None, or it is not finite.
+        MeasureError: it is not a number, a bool, a string or None; or it is not finite, or a text as long as a file.
     """
     plain = value
     item = getattr(value, "item", None)  # a numpy scalar, without importing numpy
@@ -193,12 +192,8 @@ def as_measure_value(name: str, value: object, *, where: str) -> MeasureValue:
         return plain
     if isinstance(plain, str):
         text = str.__str__(plain)  # a subclass may have another `__str__`
-        try:
-            text.encode()
-        except UnicodeEncodeError as error:
-            odd = text[error.start : error.end]
-            problem, fix = f"text that holds {odd!r}, which UTF-8 cannot hold", "Leave it out."
-        else:
+        problem, fix = _refusal_of_text(text)
+        if not problem:
             return text or None
     elif isinstance(plain, Integral):
         number = int(plain)
@@ -214,6 +209,17 @@ def as_measure_value(name: str, value: object, *, where: str) -> MeasureValue:
         problem = f"{shown(value)}, which is of type {type(value).__name__}"
         fix = "Give a number, a bool, a string, or None for a missing value."
     raise MeasureError(f"measure {name!r} got {problem}", where=where, fix=fix)
+
+
+def _refusal_of_text(text: str) -> tuple[str, str]:
+    try:
+        text.encode()
+    except UnicodeEncodeError as error:
+        return f"text that holds {text[error.start : error.end]!r}, which UTF-8 cannot hold", "Leave it out."
+    if len(text) <= _LONGEST_TEXT:
+        return "", ""
+    problem = f"a text of {len(text):,} characters, and the run table takes {_LONGEST_TEXT:,} in a cell"
+    return problem, "Write it into a file in context.raw_data_folder, and publish the file's name."
 
 
 def _as_float(number: Real) -> float:
@@ -333,13 +339,9 @@ def resolve_columns(
 ) -> tuple[MeasureColumns, list[Finding]]:
     """Match the config's `data_columns` with the measures that plugins declare.
 
-    Args:
-        data_columns: the measure columns of the run table, in order; None for all measures of all plugins. A name that
-            no plugin declares is the config's own, and may be given as a `Measure` with its unit.
-        measures_by_plugin: what each plugin declares, by the plugin's name.
-
-    Returns:
-        The columns, and a finding for each name that two plugins could mean.
+    `data_columns` are the measure columns of the run table, in order; None for all measures of all plugins. A name that
+    no plugin declares is the config's own, and may be given as a `Measure` with its unit. There is a finding for each
+    name that two plugins could mean.
     """
     declared = _declared_columns(measures_by_plugin)
     if data_columns is None:
@@ -354,10 +356,7 @@ def resolve_columns(
         chosen.append(column or MeasureColumn(own.name, CONFIG_OWNER, own))
     wanted = {column.name for column in chosen}
     owns = [column for column in chosen if column.owner == CONFIG_OWNER]
-    marked = [
-        MeasureColumn(column.name, column.owner, column.measure, is_in_table=column.name in wanted)
-        for column in declared
-    ]
+    marked = [replace(column, is_in_table=column.name in wanted) for column in declared]
     return MeasureColumns(tuple(chosen), (*marked, *owns)), findings
 
 
@@ -383,13 +382,9 @@ def _misnamed(name: str, declared: Sequence[MeasureColumn]) -> list[Finding]:
     full_names = [column.name for column in declared if column.measure.name == name]
     if not full_names:
         return []
-    return [
-        Finding.error(
-            "data_columns",
-            f"{name!r} could be any of " + ", ".join(map(repr, full_names)),
-            f"Write {full_names[0]!r}, or give one of the plugins fewer measures.",
-        )
-    ]
+    problem = f"{name!r} could be any of {', '.join(map(repr, full_names))}"
+    fix = f"Write {full_names[0]!r}, or give one of the plugins fewer measures."
+    return [Finding.error("data_columns", problem, fix)]
 
 
 def _twice(asked: NamedColumn, column: MeasureColumn) -> list[Finding]:

@@ -21,12 +21,8 @@ _LONGEST_TOLD = 40
 class MeasureBroker:
     """Checks the measures published in one run against the declared ones, and reports each at once. Thread-safe.
 
-    Args:
-        run_id: of the run.
-        columns: the declared measures.
-        report: takes the records.
-        told: what was published before: the fields of each measure's record, by column; filled in place.
-        shared: what was shared before, by plugin; filled in place.
+    `report` takes the records. `told` has what was published before: the fields of each measure's record, by column.
+    `shared` has what was shared before, by plugin. Both are filled in place.
     """
 
     def __init__(
@@ -125,10 +121,7 @@ class MeasureBroker:
     def derive(self, owner: str, source: str, names: Iterable[str] = ()) -> None:
         """Have later doubts about the measures of `source` count for all measures of `owner`, which has them computed.
 
-        Args:
-            owner: whose measures are computed from what `source` has sampled.
-            source: the plugin that samples.
-            names: the measures of `source` whose doubts count; empty for all.
+        `names` are the measures of `source` whose doubts count; empty for all.
         """
         self._derived.append((owner, source, frozenset(names)))
 

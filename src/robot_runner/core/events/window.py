@@ -36,11 +36,8 @@ class Window:
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.start) and math.isfinite(self.end) and self.start <= self.end):
-            raise PluginError(
-                f"a window cannot reach from {self.start} s to {self.end} s",
-                where="Window",
-                fix="Take both times from context.clock.now(), the earlier one first.",
-            )
+            fix = "Take both times from context.clock.now(), the earlier one first."
+            raise PluginError(f"a window cannot reach from {self.start} s to {self.end} s", where="Window", fix=fix)
 
     @property
     def duration(self) -> float:
@@ -53,6 +50,7 @@ class Phase:
     """A part of the mission; a mission may have several phases of one name.
 
     Example:
+        >>> from robot_runner.plugins import Window
         >>> Phase("navigate", Window(2.0, 5.0)).window.duration
         3.0
     """
@@ -89,12 +87,8 @@ class MissionTimes:
 
     The measured window is the mission: from the emission of `launch_mission` until all its callbacks have returned.
     Each moment is taken on the run's clock and on this machine's: while the robot is simulated, profilers of this
-    machine need the latter.
-
-    Args:
-        clock: the run's.
-        report: takes the window and each phase as records, times in s on the run's clock.
-        requested: the phases for which measures are to be published.
+    machine need the latter. `report` takes the window and each phase as records, times in s on the run's clock; for the
+    `requested` phases measures are to be published.
 
     Example:
         >>> from robot_runner.testing import FakeClock
@@ -143,8 +137,7 @@ class MissionTimes:
     def end(self, *, has_failed: bool = False) -> None:
         """End the mission, and with it the window; a second call does nothing.
 
-        Args:
-            has_failed: then no readings are taken at the end: a meter that hangs must not delay the robot's stop.
+        Where it `has_failed`, no readings are taken at the end: a meter that hangs must not delay the robot's stop.
         """
         if self._begun is None or self._ended is not None:
             return

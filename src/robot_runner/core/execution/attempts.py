@@ -51,14 +51,9 @@ class Attempts:
     ) -> Steps[RunOutcome | None]:
         """Try to execute a run as often as the config allows.
 
-        Args:
-            run: what is executed.
-            place: where.
-            finished: the run that was executed there before; None where none was in this session.
-            is_cleared: whether a callback has asked the user already whether the run may start.
-
-        Returns:
-            how its last attempt went; None where it was not begun, as the experiment ends.
+        `finished` is the run that was executed there before; None where none was in this session. With `is_cleared`, a
+        callback has asked the user already whether the run may start. Return how the last attempt went; None where it
+        was not begun, as the experiment ends.
         """
         ongoing = self._ongoing
         name = "" if ongoing.has_one_place else place.name
@@ -130,10 +125,7 @@ class Attempts:
     def _attempt(self, task: RunTask, place: Place, passage: Passage) -> Steps[RunOutcome]:
         ongoing, columns = self._ongoing, self._ongoing.experiment.columns
         builder = OutcomeBuilder(
-            task.run_id,
-            columns,
-            on_bad_value=self._parameters.on_bad_value,
-            has_attempts_left=task.attempts_left > 0,
+            task.run_id, columns, on_bad_value=self._parameters.on_bad_value, has_attempts_left=task.attempts_left > 0
         )
 
         is_over = False

@@ -90,7 +90,8 @@ def _found(experiment: Experiment, *, accept_changes: bool) -> tuple[dict[str, A
         manifest, finding = restored
         return manifest, (finding,)
     if not experiment.folder.manifest.exists():
-        return manifest_of(experiment), ()
+        manifest = manifest_of(experiment)
+        return manifest, tuple(change_findings(experiment, manifest))
     manifest = kept_manifest(experiment)
     if not accept_changes and (changes := config_changes(experiment)):
         config, others = experiment.config_path, config_changes(experiment, of_design=False, of_settings=False)
@@ -126,11 +127,8 @@ def prepared_treatments(
 ) -> dict[str, Any]:
     """Make the treatments that have to be made (revisions are built), and return plain facts about them.
 
-    Args:
-        experiment: its treatments are changed in place.
-        known: the facts that this returned when the experiment first began; a replication begins with the original's.
-        interruption: the user's; it ends the making.
-        tell: shows on the screen what is being made.
+    The experiment's treatments are changed in place. `known` are the facts that this returned when it first began; a
+    replication begins with the original's.
 
     Raises:
         RobotRunnerError: one cannot be made, or a plugin cannot use what was made.
@@ -195,14 +193,9 @@ def unplanned_additions(
     """Return a finding where the config plans more than the experiment was planned with, which an extension would add.
 
     It is an error where the config only has more than before, and a warning where it also has less: then somebody
-    changed the design, and accepted that the run table counts.
-
-    Args:
-        config: the config file.
-        model: the design as the config has it now, with the batches that there are.
-        manifest: of the experiment, as it was planned.
-        has_other_changes: whether the config has changed outside what makes the run table, too, which an extension has
-            to be told to accept.
+    changed the design, and accepted that the run table counts. `model` has the batches that there are. With
+    `has_other_changes` the config has changed outside what makes the run table, too, which an extension has to be told
+    to accept.
     """
     design = dict(manifest.get("design") or {})
     if model.batches:  # the journal has them, and an extension that broke off left the manifest behind

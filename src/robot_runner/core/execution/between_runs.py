@@ -69,14 +69,9 @@ class BetweenRuns:
     ) -> Steps[None]:
         """Take the steps before a run: pause, operator's steps, the question of SEMI mode, rest, reboots.
 
-        In SEMI mode the user is not asked where a callback or a step of the operator has just asked.
-
-        Args:
-            run: the run that comes.
-            finished: the run before it at this place in this session, or None.
-            place: where both are executed.
-            name: of that place; empty where there is no other.
-            is_cleared: whether a callback has asked the user already whether the first run may start.
+        In SEMI mode the user is not asked where a callback or a step of the operator has just asked. `finished` is the
+        run before it at this place in this session; `name` is empty where there is no other place. With `is_cleared`, a
+        callback has asked already whether the first run may start.
         """
         yield from self.pause_where_requested(run)
         if finished is not None and self._is_semi and not self._ongoing.is_ending:
@@ -236,18 +231,15 @@ class _Reboots:
             finding = Finding.warning(f"hosts[{name!r}]", problem, f"Look at reboot_command: {host.reboot_command!r}.")
             self._ongoing.notify(FindingsNoticed((finding,)))
         if outcome.status is AttemptStatus.FAILED:
-            raise ExecutionError(
-                f"the host {name} was to be restarted before {task.run_id}: {failure}",
-                where=f"hosts[{name!r}]",
-                fix="Look at the host, and start the experiment again: it resumes.",
-            )
+            problem = f"the host {name} was to be restarted before {task.run_id}: {failure}"
+            fix = "Look at the host, and start the experiment again: it resumes."
+            raise ExecutionError(problem, where=f"hosts[{name!r}]", fix=fix)
 
 
 def _restarted(name: str, host: Host, context: RobotRunnerContext) -> dict[str, Any]:
     """Reboot a host and wait until it answers again and its condition holds.
 
-    Returns:
-        `away_s`, for how long it did not answer, and `is_new_kernel`, whether it booted; None without a boot id.
+    Return `away_s`, for how long it did not answer, and `is_new_kernel`, whether it booted; None without a boot id.
 
     Raises:
         LinkError: it refused, did not go away, or did not come back in time.
@@ -261,11 +253,8 @@ def _restarted(name: str, host: Host, context: RobotRunnerContext) -> dict[str, 
         access.run(host.reboot_command, timeout_s=min(_ASKED, host.back_within_s))
     except CommandError as error:
         if shell.is_connected():  # else the connection went before the command could say that it had succeeded
-            raise LinkError(
-                f"the host cannot be restarted: {error.problem}",
-                where=name,
-                fix="Let this user do that without a password, or give another reboot_command.",
-            ) from error
+            fix = "Let this user do that without a password, or give another reboot_command."
+            raise LinkError(f"the host cannot be restarted: {error.problem}", where=name, fix=fix) from error
     except LinkError:
         _log.debug("%s went away at once", name)
     _await_end(name, host, shell, told)
@@ -278,7 +267,6 @@ def _restarted(name: str, host: Host, context: RobotRunnerContext) -> dict[str, 
 
 
 def _await_end(name: str, host: Host, shell: Shell, told: float) -> None:
-    """Wait until the host is gone."""
     while shell.is_connected():
         if time.monotonic() - told > host.back_within_s:
             raise LinkError(
@@ -299,8 +287,5 @@ def _await_answer(name: str, host: Host, access: HostCommands, told: float) -> s
         except LinkError as error:
             problem = error.problem
         time.sleep(_EVERY)
-    raise LinkError(
-        f"the host did not come back within {host.back_within_s:g} s{f': {problem}' if problem else ''}",
-        where=name,
-        fix="Look at the host, or allow it more time (back_within_s).",
-    )
+    problem = f"the host did not come back within {host.back_within_s:g} s{f': {problem}' if problem else ''}"
+    raise LinkError(problem, where=name, fix="Look at the host, or allow it more time (back_within_s).")

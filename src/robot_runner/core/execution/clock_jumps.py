@@ -76,10 +76,9 @@ def told_setting(seconds: float) -> tuple[str, str]:
 
 
 class NotedSettings:
-    """Records in the journal by how much this machine's clock was set, so that durations across that can be computed.
+    """Notes in the journal by how much this machine's clock was set, so that durations across that can be computed.
 
-    Args:
-        note: keeps a record in the journal: its kind and fields.
+    `note` keeps a record in the journal: its kind and fields.
     """
 
     def __init__(self, note: Callable[..., None]) -> None:
@@ -97,12 +96,8 @@ class NotedSettings:
     def look(self, run: str = "", told: Iterable[Finding] = ()) -> list[Finding]:
         """Do the same before records with new stamps are written; also record a finding if the clock was set.
 
-        Args:
-            run: the run that begins or ends now; empty where the experiment ends.
-            told: the run's own findings; if one is about clocks, none is added.
-
-        Returns:
-            the finding, or nothing.
+        `run` begins or ends now; it is empty where the experiment ends. Where one of its own findings, `told`, is about
+        clocks, none is added. Return the finding, or nothing.
         """
         self.take()
         seconds, self._set_since_finding = _real(self._set_since_finding), 0.0

@@ -39,15 +39,7 @@ from robot_runner.core.storage.run_table_rows import RunTableRows
 
 @dataclass(frozen=True, slots=True)
 class Growth:
-    """Runs that are to be added.
-
-    Attributes:
-        kind: of their record in the journal.
-        record: its fields.
-        model: the design with them.
-        rows: the run table with them.
-        places: of them, in the order of execution.
-    """
+    """Runs to be added: kind and fields of their record, the design and the run table with them, and their places."""
 
     kind: str
     record: Mapping[str, Any]
@@ -109,14 +101,12 @@ class Deciding:
     def decide(self, progress: Bookkeeper, table: RecoveredTable, *, is_of_part: bool = False) -> NextDecided | None:
         """Add the runs that follow, or record why none does; where only a part was chosen, tell that others may follow.
 
-        Returns:
-            what was decided and why; None where nothing is to be decided.
+        Return what was decided and why; None where nothing is to be decided.
         """
         if self._is_passed_over:
             problem = "the run table was written by hand and is executed as it is: nothing is repeated"
-            progress.find(
-                Finding.warning(self._where, problem, "Have the config plan the runs, or leave the rule out.")
-            )
+            fix = "Have the config plan the runs, or leave the rule out."
+            progress.find(Finding.warning(self._where, problem, fix))
         if self._asks is None:
             return None
         if is_of_part:

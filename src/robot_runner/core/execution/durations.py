@@ -105,15 +105,10 @@ def _about(seconds: float, *, is_least: bool) -> str:
 class Durations:
     """Estimates how long runs and the pauses between them take, from declared durations and runs that have ended.
 
-    A run counts from its beginning to the end of its last attempt, and a pause from there to the beginning of the
-    next run: rest, operator, gates and all. Failed runs count only while none is done. What runs took beyond their
-    declared duration is expected of other runs, too.
-
-    Args:
-        declared: by plugins and config.
-        combinations: of all runs; plugins are asked once about each.
-        rest_s: how long the robot rests between two runs, s.
-        waits: what else comes between two runs, in words; it is of unknown duration until the first pause.
+    A run counts from its beginning to the end of its last attempt, and a pause from there to the beginning of the next
+    run: rest, operator, gates and all. Failed runs count only while none is done. What runs took beyond their declared
+    duration is expected of other runs, too. Plugins are asked once about each of the `combinations`. What `waits` names
+    comes between two runs, and is of unknown duration until the first pause.
 
     Attributes:
         places: at how many places runs are executed at the same time.
@@ -155,11 +150,7 @@ class Durations:
         self._computed = self._cost = 0.0
 
     def learn_from(self, journal: Path) -> None:
-        """Learn from the last runs in a journal.
-
-        Raises:
-            StorageError: it cannot be read.
-        """
+        """Learn from the last runs in a journal; raise a `StorageError` if it cannot be read."""
         for record in last_records(journal, kinds=_TELLING):
             self.take_record(record)
         self.break_off()
@@ -199,11 +190,7 @@ class Durations:
     def begin(self, combination: Mapping[str, Any], at: float, run: str = "", place: str = "") -> None:
         """Note that an attempt at a run begins.
 
-        Args:
-            combination: of the run; treatments may be given by their texts.
-            at: the moment, s on a clock that is the same for all calls until `break_off`.
-            run: its id, where several are in flight.
-            place: where it is executed, where there are several.
+        `at` is s on a clock that is the same for all calls until `break_off`; treatments may be given by their texts.
         """
         if run in self._current:  # it is tried again
             return

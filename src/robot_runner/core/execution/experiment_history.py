@@ -43,7 +43,6 @@ class Session:
         started_at: UTC.
         ended_at: when it ended, or, where it was killed or goes on, when something was last recorded of it (UTC).
         is_whole: whether it came to its end.
-        selection: the runs that were chosen for it, by option.
         clock_set: by how much the clock was set meanwhile, s.
     """
 
@@ -117,11 +116,7 @@ class ExperimentHistory:
         self._publications: dict[tuple[str, ...], tuple[str, ...]] = {}
 
     def read(self, files: ExperimentFolder) -> None:
-        """Read all that is on disk.
-
-        Raises:
-            StorageError: it cannot be read.
-        """
+        """Read all that is on disk; raise a `StorageError` if it cannot be read."""
         # The journal comes first: a table written meanwhile is newer than what the journal adds to it, never older.
         for record in read_journal(files.journal):
             self.take(record)

@@ -39,7 +39,6 @@ class ExperimentStatus:
         current_run, current_event: what is being executed, or None; of several runs the one that began last.
         in_flight: each run that is being executed, with its place where there are several.
         failures: why each failed run failed, one line each.
-        findings: what looked odd.
         todo: how many runs are left to be executed; those that are excluded do not count, neither here nor in `failed`.
         started_at: when its last session began (UTC).
         finished_at: when it ended last (UTC), or None while it is executed or if it was killed.
@@ -50,11 +49,8 @@ class ExperimentStatus:
             most a minute ago), and for how many `seconds` it had been awaited then.
         gate_seconds: how long gates were awaited in all, s of their clocks.
         bad_values: the runs that are done whose values are not good, by measure and quality.
-        warm_ups: how many of the runs only warm up.
         warm_ups_done: how many of these are done.
         batches: how many runs each batch has, in order, where the experiment was extended; warm-up runs left out.
-        sessions: all its executions, the first one first.
-        excluded: why runs are left out, by id.
         is_paused: whether somebody paused it; `robot-runner continue` goes on.
         pause_is_requested: whether it is to pause before the next run.
         is_imported: whether the results were executed elsewhere and imported: nothing can be executed here.
@@ -229,8 +225,7 @@ def _time_left(files: ExperimentFolder, history: ExperimentHistory, follows: str
         return None
     durations = Durations()
     durations.learn_from(files.journal)
-    planned = (history.combinations[run] for run in unfinished if run in history.combinations)
-    durations.plan(planned, follows=follows)
+    durations.plan((history.combinations[run] for run in unfinished if run in history.combinations), follows=follows)
     return durations.left()
 
 
@@ -250,11 +245,7 @@ def _left(status: ExperimentStatus) -> int:
 
 
 def require_executed(status: ExperimentStatus, where: str, what: str) -> None:
-    """Require that the experiment is being executed.
-
-    Raises:
-        ExecutionError: it is not.
-    """
+    """Raise an `ExecutionError` if the experiment is not being executed."""
     if status.holder is None:
         fix = f"{what}; {'`robot-runner run` with its config goes on' if _left(status) else 'all its runs are done'}."
         raise ExecutionError("the experiment is not being executed", where=where, fix=fix)
@@ -272,11 +263,9 @@ def require_waiting(status: ExperimentStatus, where: str) -> None:
         raise ExecutionError("the experiment is not being executed", where=where, fix=fix)
     if not status.is_waiting_for_user:
         doing = f"executes {status.runs_now}" if status.in_flight else "is between two runs"
-        raise ExecutionError(
-            f"the experiment does not wait: process {status.holder.pid} on {status.holder.host} {doing}",
-            where=where,
-            fix="Wait until it asks; without steps for the operator, and in AUTO mode, it never does.",
-        )
+        problem = f"the experiment does not wait: process {status.holder.pid} on {status.holder.host} {doing}"
+        fix = "Wait until it asks; without steps for the operator, and in AUTO mode, it never does."
+        raise ExecutionError(problem, where=where, fix=fix)
 
 
 def continue_and_see(
@@ -284,11 +273,8 @@ def continue_and_see(
 ) -> None:
     """Send `continue` to a waiting experiment, and wait until it has taken the request.
 
-    Args:
-        files: of the experiment.
-        waiting_for: what the person was asked, as in `ExperimentStatus`: the request is for that question alone.
-        answers: to its questions, by name.
-        where: names the experiment in the error.
+    `waiting_for` is what the person was asked: the request is for that question alone. The answers are by name; `where`
+    names the experiment in the error.
 
     Raises:
         StorageError: the folder cannot be written.

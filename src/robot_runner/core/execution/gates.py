@@ -173,7 +173,13 @@ class _Wait:
         task, condition = self._task, str(gate.condition)
         self._notify(
             GateWaiting(
-                task.run_id, task.run_number, task.run_count, condition, self._seen, self._seconds, gate.timeout_s
+                run_id=task.run_id,
+                run_number=task.run_number,
+                run_count=task.run_count,
+                condition=condition,
+                seen=self._seen,
+                seconds=self._seconds,
+                timeout_s=gate.timeout_s,
             )
         )
         is_overdue = gate.timeout_s is not None and self._seconds > gate.timeout_s

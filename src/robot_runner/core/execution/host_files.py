@@ -34,11 +34,8 @@ class HostFiles(System):
     """Connects to the hosts of a config when a run starts, and fetches their files when it stops.
 
     It begins before all other plugins and ends after them, so that what they write there is fetched, too. A host that
-    cannot be reached fails the run before anything moves; files that do not come are warnings of the run.
-
-    Args:
-        hosts: by name.
-        grace: how long a run that failed may take to close, s.
+    cannot be reached fails the run before anything moves; files that do not come are warnings of the run. A run that
+    failed may take `grace` s to close.
     """
 
     needs: ClassVar[str] = "The computers that the config's `hosts` names."

@@ -107,10 +107,8 @@ def _problem(file: Any, write: Any) -> Iterator[str]:
 def seed_random_numbers(run_seed: int) -> None:
     """Give the generators of `random`, and of NumPy and PyTorch where they were imported, the state of this seed.
 
-    So a run draws the same numbers wherever and whenever it is executed, and each run draws others.
-
-    Args:
-        run_seed: of 32 bits, which is what NumPy takes.
+    So a run draws the same numbers wherever and whenever it is executed, and each run draws others. `run_seed` has 32
+    bits, which is what NumPy takes.
     """
     random.seed(run_seed)
     if (numpy_random := sys.modules.get("numpy.random")) is not None:

@@ -134,8 +134,7 @@ class InterruptGate:
     def arm(self, *, is_mission: bool = False) -> None:
         """Let stop requests raise from now on, until `disarm`; before and after, they wait.
 
-        Args:
-            is_mission: whether the mission is executed now, which `end_mission` ends.
+        With `is_mission` the mission is executed now, which `end_mission` ends.
 
         Raises:
             RunInterrupted: a request comes, or came before.

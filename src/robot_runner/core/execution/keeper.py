@@ -49,6 +49,8 @@ _MARGIN, KEEPING = 10.0, 60.0
 _LOOK = 0.01
 #: One poll waits no longer, s: its limit is 24 days.
 _LONGEST = 86_400.0
+#: Names of signals; most of the real-time ones, which drivers use, have none.
+_SIGNALS = {each.value: each.name for each in signal.Signals}
 
 
 #: The keepers whose runs are in flight, in the process that has forked them.
@@ -88,11 +90,7 @@ class Keeper:
     """
 
     def __init__(
-        self,
-        start: Callable[[RecordWriter], None],
-        grace: float,
-        folder: ExperimentFolder,
-        standby: Standby | None,
+        self, start: Callable[[RecordWriter], None], grace: float, folder: ExperimentFolder, standby: Standby | None
     ) -> None:
         """Prepare a keeper.
 
@@ -137,6 +135,7 @@ class Keeper:
         os.set_blocking(self.told, False)
         _in_flight.add(self)
         reap_keepers()  # now, while this one begins
+        self._memory_kills = processes.memory_kills()
         return self
 
     def __exit__(self, *raised: object) -> None:
@@ -186,9 +185,6 @@ class Keeper:
         """Do the work of a keeper that was killed: end the run, its process group, and what else it left alive.
 
         Yields how long to wait each time, s; meanwhile the run's records are to be read, or it would wait for that.
-
-        Args:
-            grace: how long the run may take to close what it opened, s.
         """
         if self.run is not None:  # else the run had not begun, and does not begin without a keeper
             yield from processes.group_ended(self.run, grace, self.spared)
@@ -214,7 +210,9 @@ class Keeper:
         status = self.reap() if self.was_killed else _number(self._numbers[_NUMBER_BYTES:])
         code = os.waitstatus_to_exitcode(status)
         if code < 0:
-            return f"{whose} was killed by {signal.Signals(-code).name}"
+            lacked = code == -signal.SIGKILL and processes.memory_kills() > self._memory_kills
+            cause = " (meanwhile the system killed a process for lack of memory)" if lacked else ""
+            return f"{whose} was killed by {_SIGNALS.get(-code, f'signal {-code}')}{cause}"
         return f"{whose} exited with code {code}" if code else ""
 
     @property
@@ -237,8 +235,6 @@ class Keeper:
 
 
 class _KeeperProcess:
-    """The keeper's own process."""
-
     def __init__(self, keeper: Keeper, requests: int, tell: int, report: RecordWriter, mark: RunMark) -> None:
         self._spared = keeper.spared
         self._standby = keeper.standby
@@ -337,7 +333,6 @@ class _KeeperProcess:
         return status
 
     def _milliseconds(self) -> float | None:
-        """Return how long to wait at most."""
         if self._end is None:
             return _LOOK * 1000
         moments = [moment for moment in (self._ask_again_at, self._kill_at) if moment is not None]

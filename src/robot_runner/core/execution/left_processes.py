@@ -32,7 +32,7 @@ from robot_runner.core.errors import ExecutionError, Finding, StorageError
 from robot_runner.core.execution.clock_jumps import now_counting_suspension
 from robot_runner.core.storage.guarded_files import MissingFileError, open_descriptor, read_bytes, read_text, remove
 from robot_runner.core.storage.layout import ExperimentFolder
-from robot_runner.core.storage.lock_files import open_to_lock, was_open_to_strangers
+from robot_runner.core.storage.lock_files import open_to_lock, this_boot, was_open_to_strangers
 from robot_runner.core.storage.outliving import (
     ancestors,
     has_in_environment,
@@ -137,10 +137,8 @@ def left_processes_ended(folder: ExperimentFolder, killed: list[int]) -> Iterato
 def await_left_processes(folder: ExperimentFolder, grace: float) -> Finding | None:
     """Wait for the processes that an earlier execution left alive, and end them, before anything is executed.
 
-    A run gets SIGTERM and has `grace` seconds to close what it opened; then all that is left is killed.
-
-    Returns:
-        what was awaited and killed, or None where nothing was alive.
+    A run gets SIGTERM and has `grace` seconds to close what it opened; then all that is left is killed. Return what was
+    awaited and killed; None where nothing was alive.
 
     Raises:
         ExecutionError: it is still alive afterwards; that takes a system without /proc, or another user's process.
@@ -155,11 +153,9 @@ def await_left_processes(folder: ExperimentFolder, grace: float) -> Finding | No
     seconds = time.monotonic() - began
     killed = sorted(pid for slot in slots for pid in end_left_processes(slot))
     if was_alive and not _wait(lambda: not any(map(is_alive, alive)), _DYING):
-        raise ExecutionError(
-            "a run of an earlier execution is still alive, and cannot be ended from here",
-            where=str(folder.root),
-            fix="End it by hand: it has the file .alive in this folder open.",
-        )
+        problem = "a run of an earlier execution is still alive, and cannot be ended from here"
+        fix = "End it by hand: it has the file .alive in this folder open."
+        raise ExecutionError(problem, where=str(folder.root), fix=fix)
     for slot in slots:
         if was_open_to_strangers(slot.alive, folder.root):  # as earlier versions made it; one could lock it for ever
             remove(slot.alive, folder.root)
@@ -190,7 +186,7 @@ class RunsElsewhere:
 
     def content(self) -> bytes:
         """Return the bytes of the mark: the facts, by which clock it is stamped, and a number that nobody can guess."""
-        clock = {"boot": _boot(), "booted_at": time.time() - now_counting_suspension()}
+        clock = {"boot": this_boot(), "booted_at": time.time() - now_counting_suspension()}
         return json.dumps({**asdict(self), **clock, "number": os.urandom(32).hex()}).encode()
 
     @property
@@ -238,16 +234,9 @@ def _now_by_clock_of(mark: Path, folder: ExperimentFolder) -> float | None:
     It is not after a reboot, or on another machine: the steady clock is another one there.
     """
     match _facts_of(mark, folder):
-        case {"boot": str(boot), "booted_at": float() as booted_at} if boot and boot == _boot():
+        case {"boot": str(boot), "booted_at": float() as booted_at} if boot and boot == this_boot():
             return booted_at + now_counting_suspension() if abs(booted_at) < _NO_MOMENT else None
     return None
-
-
-def _boot() -> str:
-    """Return the identifier of this machine's present boot (Linux); elsewhere an empty text."""
-    with suppress(OSError):
-        return Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii").strip()
-    return ""
 
 
 def _marks_of_elsewhere(folder: ExperimentFolder) -> list[Path]:

@@ -16,14 +16,7 @@ from pathlib import Path
 from robot_runner.core.config.claims import Claims, held_claims
 from robot_runner.core.config.experiment import Experiment
 from robot_runner.core.config.plugin_checks import announced_findings
-from robot_runner.core.errors import (
-    ExecutionError,
-    Finding,
-    LinkError,
-    RobotRunnerError,
-    StorageError,
-    errors_first,
-)
+from robot_runner.core.errors import ExecutionError, Finding, LinkError, RobotRunnerError, StorageError, errors_first
 from robot_runner.core.execution.left_processes import (
     await_left_processes,
     end_left_processes,
@@ -54,10 +47,7 @@ _TOLD_NOTHING = "no command of it is known, so that the robot was told nothing n
 
 
 def see_to_what_is_left(experiment: Experiment) -> list[Finding]:
-    """End the processes that a killed execution has left, and make its systems safe, before anything else is done.
-
-    Returns:
-        what was done.
+    """End what a killed execution has left, and make its systems safe, before anything else; return what was done.
 
     Raises:
         ExecutionError: something cannot be ended; or a system cannot be made safe, which is raised only once, as a
@@ -73,11 +63,7 @@ def see_to_what_others_left(experiment: Experiment, roots: Iterable[Path], claim
     """Stop robots that killed executions of other experiments left moving, before this one uses them.
 
     That is tried once. Their systems are not known here: the next execution of their own experiment makes them safe.
-
-    Args:
-        experiment: it has claimed the robots by now.
-        roots: the folders of experiments that had claimed something before.
-        claims: of this experiment.
+    This one has claimed the robots by now; `roots` are the folders of those that had claimed something before.
 
     Raises:
         ExecutionError: a robot cannot be stopped.
@@ -335,11 +321,8 @@ def may_be_moving(folder: ExperimentFolder) -> list[Finding]:
 def goes_on(root: Path, *, counts_orphans: bool = True) -> bool:
     """Return whether processes of an experiment are alive whose orchestrator is gone.
 
-    Such are a run, here or on another machine; a probe, gate or reboot; software under test; and a standby.
-
-    Args:
-        root: the folder of the experiment.
-        counts_orphans: whether programs count that a run left without a keeper.
+    Such are a run, here or on another machine; a probe, gate or reboot; software under test; and a standby. With
+    `counts_orphans`, programs count that a run left without a keeper.
     """
     with suppress(OSError, StorageError, ValueError):  # a folder that cannot be read counts as one without any
         folder = ExperimentFolder.found_at(root)

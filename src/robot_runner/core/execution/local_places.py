@@ -38,10 +38,7 @@ _SOON, _OFTEN = 0.1, 0.5
 class LocalPlace:
     """A slot of this machine, with a log and marks of its own for the run that it executes; it may have its own robot.
 
-    Args:
-        experiment: what is executed.
-        slot: its number, from 1.
-        robot: the name of its robot, of those that take turns, and how it is reached; None where none does.
+    Slots are numbered from 1. `robot` is the name of its robot, of those that take turns, and how it is reached.
     """
 
     def __init__(self, experiment: Experiment, slot: int, robot: tuple[str, str] | None = None) -> None:
@@ -117,12 +114,8 @@ def begin_run(
 ) -> RunInFlight:
     """Begin one attempt at a run on this machine, in the way that the config's `run_process` asks for.
 
-    Args:
-        experiment: with the files of the slot that executes it.
-        task: what is executed.
-        builder: holds what the orchestrator has recorded of the attempt.
-        watch: what the supervisor reports to and obeys.
-        may_command: whether it may command a robot, so that a standby is needed.
+    The experiment has the files of the slot that executes it. `builder` holds what the orchestrator has recorded of the
+    attempt. Where it `may_command` a robot, a standby is needed.
     """
     if experiment.parameters.run_process is RunProcess.IN_PROCESS:
         return _executed_here(experiment, task, builder, watch)
@@ -162,11 +155,7 @@ def _executed_here(experiment: Experiment, task: RunTask, builder: OutcomeBuilde
 
 
 class EndedRun:
-    """A run that is over when it is returned.
-
-    Args:
-        outcome: how it went.
-    """
+    """A run that is over when it is returned."""
 
     descriptors: Collection[int] = ()
     due: float | None = 0.0
@@ -245,7 +234,6 @@ class _Supervision:
         return min((deadline for deadline in deadlines if deadline is not None), default=None)
 
     def advance(self) -> bool:
-        """Take its records, enforce its deadlines, and see to its end."""
         if self._awaits_records:
             self._take_records()
         if self._end is None:
@@ -260,17 +248,14 @@ class _Supervision:
         return False
 
     def outcome(self) -> RunOutcome:
-        """Return how the run went, once its process is dead."""
         if self._outcome is None:
             raise AssertionError("the run is not over")
         return self._outcome
 
     def close(self) -> None:
-        """Close the keeper, which ends a run that is still alive."""
         self._opened.close()
 
     def stop(self, because: str, *, is_interruption: bool = False) -> None:
-        """Have the keeper ask the run to stop."""
         if self._because or self._end is not None:
             return
         if is_interruption:
@@ -281,7 +266,6 @@ class _Supervision:
         self._keeper.stop()
 
     def kill(self) -> None:
-        """Have the keeper kill the run."""
         if not self._is_killed:
             self._is_killed = self._is_interrupted = True
             self._keeper.kill()
@@ -321,10 +305,7 @@ class _Supervision:
         if self._because:  # it was asked to stop
             return None, None
         run, event = self._parameters.run_deadline_in_s, self._parameters.event_deadline_in_s
-        return (
-            None if run is None else self._started + run,
-            None if event is None else self._event_started + event,
-        )
+        return (None if run is None else self._started + run, None if event is None else self._event_started + event)
 
     def _enforce(self) -> None:
         now = time.monotonic()

@@ -90,11 +90,9 @@ def kept_manifest(experiment: Experiment) -> dict[str, Any]:
     manifest = read_manifest(experiment.folder.manifest)
     if manifest.keys() >= _NEEDED and manifest["design"].keys() >= _NEEDED_OF_DESIGN and manifest["executions"]:
         return manifest
-    raise ExecutionError(
-        "the manifest in this folder was not written by Robot Runner",
-        where=str(experiment.folder.manifest),
-        fix="Choose another experiment_name or results_output_path.",
-    )
+    problem = "the manifest in this folder was not written by Robot Runner"
+    fix = "Choose another experiment_name or results_output_path."
+    raise ExecutionError(problem, where=str(experiment.folder.manifest), fix=fix)
 
 
 def resumed_manifest(experiment: Experiment, manifest: dict[str, Any]) -> dict[str, Any]:
@@ -150,10 +148,6 @@ def replaced_packages(path: Path, manifest: dict[str, Any]) -> Iterator[Finding]
     """Yield a warning where packages were replaced since the present execution began, and add them to its changes.
 
     Runs may have had either version: a process that has begun keeps the modules that it imported, and no others.
-
-    Args:
-        path: of the manifest, for the warning.
-        manifest: changed in place.
     """
     now = manifest["executions"][-1]
     changed = now.get("changed") or {}
@@ -202,7 +196,8 @@ def _described_pairs(manifest: Mapping[str, Any]) -> Iterator[tuple[str, Any, An
 def change_findings(experiment: Experiment, manifest: Mapping[str, Any]) -> Iterator[Finding]:
     """Yield a warning where the machine, software, the order of values, or the clock is another than before.
 
-    A single-board computer without a clock of its own starts in the past until it has reached a time server.
+    A single-board computer without a clock of its own starts in the past until it has reached a time server, also where
+    the study was registered on another machine.
     """
     where, now = str(experiment.folder.manifest), manifest["executions"][-1]
     if changed := now.get("changed") or {}:
@@ -217,10 +212,10 @@ def change_findings(experiment: Experiment, manifest: Mapping[str, Any]) -> Iter
             yield Finding.warning(str(experiment.config_path), problem, fix)
     stamps = ("started_at", "finished_at")
     latest = max(str(each.get(stamp) or "") for each in manifest["executions"] for stamp in stamps)
-    if latest > str(now.get("started_at", "")):  # of one form and length, texts are ordered as times
-        problem = (
-            f"this machine's clock shows {now.get('started_at')}, and the experiment was executed at {latest} already"
-        )
+    registered = str((manifest.get("registration") or {}).get("registered_at", ""))
+    at, what = max((latest, "the experiment was executed"), (registered, "the study was registered"))
+    if at > str(now.get("started_at", "")):  # of one form and length, texts are ordered as times
+        problem = f"this machine's clock shows {now.get('started_at')}, and {what} at {at} already"
         fix = "Set the clock (chrony, systemd-timesyncd) before you go on: stamps are to tell when runs were."
         yield Finding.warning(where, problem, fix)
 

@@ -108,9 +108,8 @@ class Notifications:
                 treatments = ", ".join(f"{name}={shown_treatment(each)}" for name, each in notice.combination.items())
                 place = f", {notice.place}" if notice.place else ""
                 when = "After" if notice.is_after else "Before"
-                body = (
-                    f"{when} {notice.run_id}, run {notice.next_run_number} of {notice.run_count}{place}: {treatments}"
-                )
+                run = f"{notice.run_id}, run {notice.next_run_number} of {notice.run_count}{place}"
+                body = f"{when} {run}: {treatments}"
                 yield _Message(f"{self._name} waits for you: {what}", body, "warning")
             case notices.GateWaiting() if "waiting" in wanted and notice.seconds >= _GATE_PATIENCE:
                 yield from self._gate(notice)

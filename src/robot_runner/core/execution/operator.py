@@ -61,12 +61,8 @@ class Operator:
         """Ask for the steps that are due before a run, or before another attempt; return whether any was.
 
         Which ones are due is decided before anything is awaited: so several places have the steps that one place would
-        have, by the order of runs.
-
-        Args:
-            run: the run that comes.
-            place: the name of the robot or worker that executes it; empty where there is no other.
-            is_retry: whether it has been tried already.
+        have, by the order of runs. `place` is empty where there is no other; with `is_retry` the run has been tried
+        already.
 
         Raises:
             ExecutionError: a function of the config that says when a step is due raised.
@@ -171,8 +167,7 @@ class Operator:
     def _suits(self, step: OperatorStep, run: PendingRun) -> tuple[WatchedCombination, bool]:
         """Return the treatments of a run, and whether the config wants the step for these."""
         combination = WatchedCombination(
-            self._progress.task_of(run).combination,
-            lambda factor: self.note_read(run.run_id, factor, OPERATOR_OWNER),
+            self._progress.task_of(run).combination, lambda factor: self.note_read(run.run_id, factor, OPERATOR_OWNER)
         )
         try:
             return combination, step.suits(combination)
@@ -310,8 +305,6 @@ def _treatments(step: OperatorStep, combination: Mapping[str, Any]) -> dict[str,
 
 
 class _Keyboard:
-    """Reads lines from the terminal."""
-
     def __init__(self, descriptor: int | None) -> None:
         self._descriptor = descriptor
         self._pending = b""

@@ -58,11 +58,6 @@ class EventDeadline:
     of hanging, and can be resumed.
 
     Where callbacks swallow the exception, it is raised again each `grace` seconds. Use it in the main thread.
-
-    Args:
-        what: the event that is guarded, in words.
-        seconds: how long it may take.
-        grace: how long a callback that is ended may take to clean up, s.
     """
 
     def __init__(self, what: str, seconds: float, grace: float) -> None:
@@ -177,17 +172,10 @@ class OrchestratorEvents:
         experiment: Experiment,
         adapt: Callable[[RobotRunnerContext], RobotRunnerContext] = lambda context: context,
     ) -> list[object]:
-        """Emit an event of a run in this process; an exception is a failure of the run.
+        """Emit `before_run` or `continue` in this process; an exception is a failure of the run.
 
-        Args:
-            event: `before_run` or `continue`.
-            task: the run.
-            report: takes the records.
-            experiment: as the place of the run has it.
-            adapt: changes the context of each owner.
-
-        Returns:
-            what each callback returned.
+        The experiment is as the place of the run has it; `adapt` changes the context of each owner. Return what each
+        callback returned.
         """
 
         def told(kind: str, fields: dict[str, Any]) -> None:
@@ -261,14 +249,9 @@ class OrchestratorEvents:
     ) -> bool:
         """Emit `continue`; return whether a callback has returned True, as it has asked the user itself.
 
-        What is published is a measure of the run that has finished.
-
-        Args:
-            finished: the run that is over.
-            following: the run that comes next.
-            read: called with a factor and an owner when the owner reads its treatment in the run that comes next.
-            place: where both are executed; empty where there is one place only.
-            experiment: as that place has it.
+        What is published is a measure of the run that has finished. `read` is called with a factor and an owner when
+        the owner reads its treatment in the run that comes next. `place`, which has this experiment, is where both are
+        executed; empty where there is one place only.
 
         Raises:
             ExecutionError: a callback raised, or took too long.
@@ -332,9 +315,6 @@ class OngoingExperiment:
     """An experiment that is being executed: the state that the parts of the orchestrator share.
 
     Attributes:
-        experiment: what is executed.
-        progress: records what happens.
-        events: emits the events of the orchestrator.
         observer: the screen, and its keyboard.
         notify: gives a notice to the observer and to notifications.
         poll_loop: how the orchestrator waits.

@@ -43,9 +43,8 @@ class Awaited(Protocol):
     def stop(self, because: str, *, is_interruption: bool = False) -> None:
         """Let it close what it has opened, and end. Another call changes nothing.
 
-        Args:
-            because: why, in words: it becomes the reason why the run failed.
-            is_interruption: whether the user has asked for it, so that the run is to be done again.
+        `because` becomes the reason why the run failed. With `is_interruption` the user has asked for it, so that the
+        run is to be done again.
         """
 
     def kill(self) -> None:
@@ -123,12 +122,8 @@ class Place(Protocol):
     def begin(self, task: RunTask, builder: OutcomeBuilder, watch: Watch) -> RunInFlight:
         """Begin one attempt at a run, and return at once.
 
-        A place that cannot begin it returns a run with that outcome, and is unavailable from then on.
-
-        Args:
-            task: what is executed.
-            builder: has what the orchestrator has recorded of the attempt; it takes each record before `watch.report`.
-            watch: takes the records.
+        A place that cannot begin it returns a run with that outcome, and is unavailable from then on. `builder` has
+        what the orchestrator has recorded of the attempt, and takes each record before `watch.report`.
         """
 
 
@@ -150,8 +145,7 @@ class Places(Protocol):
     def advance(self, *, is_idle: bool = False) -> Sequence[str]:
         """Update, without waiting, which places there are; return messages for the user.
 
-        Args:
-            is_idle: whether nothing is in flight or prepared, as no place can execute what is left.
+        `is_idle`: nothing is in flight or prepared, as no place can execute what is left.
 
         Raises:
             ExecutionError: no place is left, and none will come; or for too long none could execute what is left.

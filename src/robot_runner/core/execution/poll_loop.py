@@ -28,11 +28,7 @@ Steps = Generator[Awaited, None, _Result]
 
 
 class Pause:
-    """A span of time, which input from the terminal or the user's interruption ends early.
-
-    Args:
-        seconds: how long it lasts at most.
-        user_input: the descriptor of the terminal; None where there is none.
+    """A span of time, which input from a terminal (the descriptor `user_input`) or an interruption ends early.
 
     Attributes:
         due: when it is over, on the monotonic clock, s.
@@ -75,12 +71,7 @@ def _is_gone(descriptor: int) -> bool:
 
 
 class UntilEnding:
-    """A wait before a run, which is stopped once no more runs begin.
-
-    Args:
-        awaited: what is awaited.
-        is_ending: returns whether no more runs begin.
-    """
+    """A wait before a run, which is stopped once no more runs begin."""
 
     def __init__(self, awaited: Awaited, is_ending: Callable[[], bool]) -> None:
         self._awaited = awaited
@@ -127,11 +118,9 @@ def until_ending(steps: Steps[_Result], is_ending: Callable[[], bool]) -> Steps[
 class PollLoop:
     """The work of the orchestrator while it waits.
 
-    Args:
-        interruption: the user's; it ends all that is awaited.
-        refresh: brings a live screen up to date; called every `refresh_interval` seconds, and never where that is None.
-        refresh_interval: in seconds.
-        tend: called before each wait; returns in how many seconds it is to be called again, None where nothing is due.
+    The interruption ends all that is awaited. `refresh` brings a live screen up to date every `refresh_interval` s, and
+    never where that is None. `tend` is called before each wait, and returns in how many seconds it is to be called
+    again, or None.
     """
 
     def __init__(

@@ -38,9 +38,6 @@ class Probed:
     """The result of probing one profiler.
 
     Attributes:
-        plugin: its name.
-        measures: what it published.
-        doubts: its findings.
         missing: the names of its measures where none of them has a value, else empty.
         failure: what it raised, or how the process of the probe ended.
         robot: the name of the robot with which it was tried; empty where there is only one.
@@ -126,7 +123,7 @@ def probed_plugins(plugins: Sequence[Plugin], events: EventManager, parameters: 
     """Return the same as `probed_profilers`, for an experiment of which only these parts are known."""
     if is_simulated(parameters.robot) or parameters.cluster is not None:
         return []
-    set_up = {each.owner for event in _SET_UP for each in events.subscribers(event)}
+    set_up = {each.owner for each in events.subscribers(*_SET_UP)}
     profilers = [plugin for plugin in plugins if isinstance(plugin, Profiler)]
     return [each for each in profilers if each.name not in set_up and (_can_tell(each) or factors_of(each))]
 
@@ -210,11 +207,9 @@ def _probed(profiler: Profiler, experiment: Experiment, outcome: RunOutcome) -> 
     failures = _failures(outcome)
     own = [str(failure) for failure in failures if failure.owner == profiler.name] or [str(each) for each in failures]
     phases = {f"{measure.name}.{phase}" for measure in profiler.measures for phase in experiment.parameters.phases}
-    columns = [
-        column
-        for column in experiment.columns.declared
-        if column.owner == profiler.name and column.measure.name not in {*phases, *profiler.not_probed}
-    ]
+    left_out = {*phases, *profiler.not_probed}
+    declared = (column for column in experiment.columns.declared if column.owner == profiler.name)
+    columns = [column for column in declared if column.measure.name not in left_out]
     measures = {column.name: outcome.measures[column.name] for column in columns if column.name in outcome.measures}
     return Probed(
         profiler.name,

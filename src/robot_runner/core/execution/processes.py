@@ -13,21 +13,14 @@ import warnings
 from collections.abc import Callable, Collection, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from io import TextIOWrapper
+from pathlib import Path
 from typing import NoReturn, TextIO
 
 from robot_runner.core.errors import ExecutionError
 from robot_runner.core.execution.run_records import FINISHED, failure_fields
 from robot_runner.core.execution.task import Report
 from robot_runner.core.storage.masked_log import MaskedText
-from robot_runner.core.storage.outliving import (
-    GROUP,
-    PARENT,
-    SESSION,
-    is_alive,
-    is_spared,
-    process_stat,
-    processes,
-)
+from robot_runner.core.storage.outliving import GROUP, PARENT, SESSION, is_alive, is_spared, process_stat, processes
 
 #: How often it is checked whether a process has ended, where nothing can be polled, s.
 _LOOK = 0.02
@@ -53,6 +46,14 @@ def stop_with_parent() -> None:
     """Let the system send SIGTERM to this process when its parent dies (Linux only)."""
     if _prctl is not None:
         _prctl(_PR_SET_PDEATHSIG, signal.SIGTERM, 0, 0, 0)
+
+
+def memory_kills() -> int:
+    """Return how many processes the system has killed for lack of memory since it was started; 0 except on Linux."""
+    with suppress(OSError, ValueError):
+        counters = Path("/proc/vmstat").read_text(encoding="ascii")
+        return int(counters.partition("\noom_kill ")[2].partition("\n")[0])
+    return 0
 
 
 class _Part:
@@ -191,12 +192,8 @@ def children() -> Iterator[int]:
 def group_ended(leader: int, grace: float, spared: Callable[[], frozenset[int]]) -> Iterator[float]:
     """Ask a process that is not our child to stop; kill it, and its group, when it has not after `grace` seconds.
 
-    Yields how long to wait each time, s.
-
-    Args:
-        leader: the id of the process, and of its group.
-        grace: how long it may take.
-        spared: returns the processes of the group that may go on.
+    Yields how long to wait each time, s. `leader` is also the id of the group; `spared` returns its processes that may
+    go on.
     """
     deadline = time.monotonic() + grace
     with suppress(ProcessLookupError):

@@ -52,11 +52,8 @@ _KEPT = frozenset((*_OF_RUN, *_OF_ATTENDANCE))
 class ProgressManager:
     """Holds an experiment's folder while it is executed. A context manager: on leaving, everything is on the disk.
 
-    Args:
-        experiment: what is executed.
-        resumption: which runs, and what may differ from before.
-        probe: tries the profilers once the folder is locked and before anything is written; gets the first run.
-        prepare: makes treatments that have to be made; gets the facts that it returned in the first execution.
+    `probe` tries the profilers with the first run, once the folder is locked and before anything is written. `prepare`
+    makes treatments that have to be made; it gets the facts that it returned in the first execution.
 
     Raises:
         RobotRunnerError: on entering: another process executes the experiment, the folder cannot be written, the run
@@ -225,8 +222,7 @@ class ProgressManager:
     def decide(self) -> NextDecided | None:
         """Add the runs that follow from the results, where some do; they are in the journal when this returns.
 
-        Returns:
-            what was decided and why; None where nothing is to be decided, or runs are left to do.
+        Return what was decided and why; None where nothing is to be decided, or runs are left to do.
         """
         is_of_part = bool(self._resumption.only or self._resumption.skip)
         return None if self.todo_count else self._deciding.decide(self, self._table, is_of_part=is_of_part)

@@ -253,12 +253,7 @@ class RecoveredTable:
             self.reasons[column.name].update({run_id: (why,) for run_id, why in told if why})
 
     def changed_units(self, schema: Iterable[ColumnDescription], path: Path) -> Iterator[Finding]:
-        """Yield an error for each column whose unit differs from that in which its values were taken.
-
-        Args:
-            schema: the columns as they were.
-            path: of the schema.
-        """
+        """Yield an error for each column whose unit differs from that in which its values were taken."""
         now = {column.name: column.measure.unit for column in self.experiment.columns.in_table}
         now |= {factor.name: factor.unit for factor in self.experiment.model.factors}
         for column in schema:
@@ -275,8 +270,7 @@ class RecoveredTable:
     def put_back_attempts(self) -> Iterator[str]:
         """Put the files of attempts back that were moved for a next attempt which a kill kept from beginning.
 
-        Yields:
-            the runs that have their files again.
+        Yield the runs that have their files again.
         """
         folder = self.experiment.folder
         for run_id in runs_put_away(folder):
@@ -332,11 +326,7 @@ _MOST_WORK_IN_RUN = 0.25
 class TableOnDisk:
     """The file of the run table, and whether it is behind the rows in memory.
 
-    Args:
-        path: the file.
-        table: its content.
-        journal: records each writing.
-        cost: how long writing takes at most, s, until it was measured.
+    Writing takes `cost` s at most, until it was measured.
     """
 
     def __init__(self, path: Path, table: RecoveredTable, journal: Journal, cost: float) -> None:
@@ -354,11 +344,7 @@ class TableOnDisk:
             self.write()
 
     def tend(self) -> float | None:
-        """Write the file if it is stale and due; called while a run or a wait lasts.
-
-        Returns:
-            in how many seconds it is due; None where there is nothing to write.
-        """
+        """Write the file if it is stale and due; return in how many seconds it is due, None if there is no need."""
         if not self._is_stale or self._work > _MOST_WORK_IN_RUN:
             return None
         # Only CPU time counts: nothing else waits for the disk meanwhile.
@@ -375,11 +361,7 @@ class TableOnDisk:
             self.write()
 
     def write(self) -> None:
-        """Write the file.
-
-        Raises:
-            StorageError: it cannot be written.
-        """
+        """Write the file; raise a `StorageError` if it cannot be written."""
         self._journal.stay_in_place()
         started, worked = time.monotonic(), time.process_time()
         digest = write_run_table(self._path, self._table.rows)

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from robot_runner.core.config.experiment import Experiment
-from robot_runner.core.config.source import parsed
+from robot_runner.core.config.source import DESIGN_METHODS, parsed
 from robot_runner.core.design.columns import BATCH, EXCLUDED, REPETITION, STATUS, WARM_UP
 from robot_runner.core.design.factor import texts_of
 from robot_runner.core.design.planned_runs import PlannedRun
@@ -33,6 +33,7 @@ from robot_runner.core.storage.input_files import input_changes
 from robot_runner.core.storage.layout import last_config
 from robot_runner.core.storage.manifest import is_damaged, read_manifest
 from robot_runner.core.storage.run_table_rows import RunTableRows
+from robot_runner.core.words import listed
 
 
 class TableDisagreementError(ExecutionError):
@@ -127,12 +128,8 @@ def with_session_warm_ups(
 ) -> list[int]:
     """Return these places with those of the warm-up runs that come before them.
 
-    Args:
-        rows: the run table.
-        selected: the places.
-        warm_up: how the experiment warms up; each session does so again, where it says so.
-        skipped: warm-up runs that are not executed again.
-        late: warm-up runs that are still to do.
+    Each session warms up again where `warm_up` says so; the `skipped` warm-up runs are not executed again, and the
+    `late` ones are still to do.
     """
     if warm_up is None or not (warm_up.each_session or late):
         return selected
@@ -198,7 +195,7 @@ def config_changes(experiment: Experiment, *, of_design: bool = True, of_setting
     if not folder.manifest.exists() or is_damaged(folder.manifest):
         return []
     manifest = read_manifest(folder.manifest)
-    ignored = frozenset() if of_design else _DESIGN
+    ignored = frozenset() if of_design else DESIGN_METHODS
     kept = last_config(folder)
     files = config_files(experiment, kept)
     if (earlier := _earlier_name(experiment, manifest, kept)) is not None:
@@ -210,7 +207,7 @@ def config_changes(experiment: Experiment, *, of_design: bool = True, of_setting
         settings = {str(name): str(text) for name, text in last.get("deviations", {}).items()}
         findings += _changed_settings(settings, experiment.overrides)
         told = "" if findings else _FROM_OUTSIDE
-        findings += _changed_values(experiment, manifest, settings.keys() | experiment.overrides.keys(), told)
+        findings += _changed_values(experiment, manifest, {*settings, *experiment.overrides}, told)
     return findings
 
 
@@ -252,25 +249,34 @@ def table_differences(
 ) -> Iterator[Finding]:
     """Yield an error for each cell in which the run table on disk differs from the plan, and each run of only one.
 
-    Args:
-        path: of the run table, for the errors.
-        plan: by the config.
-        rows: as read from the disk.
-        accepted: cells that are left out: run, column and text.
-        is_as_written: whether the file is as we wrote it, so that the plan must have changed.
+    Where many differ in the same way, as with one cause, there is one error for all of them. `accepted` are cells that
+    are left out: run, column and text. With `is_as_written` the file is as we wrote it: the plan must have changed.
     """
     fix = _PLAN_FIX if is_as_written else _TABLE_FIX
     if len(plan) == len(rows) and all(map(is_, plan, rows.planned)):  # as nearly always, and many times faster
         return
     planned = {run.run_id: run for run in plan}
+    alike: dict[tuple[str, str], list[str]] = {}
     for found in rows.planned:
-        run = planned.pop(found.run_id, None)
-        if run is None:
-            yield Finding.error(f"{path}, run {found.run_id}", "the plan has no such run", fix)
+        if (run := planned.pop(found.run_id, None)) is None:
+            alike.setdefault(("", "the plan has no such run"), []).append(found.run_id)
+            continue
+        for name, is_now, value in _different_cells(run, found, has_repetition=rows.layout.has_repetition):
+            if (run.run_id, name, str(is_now)) not in accepted:
+                difference = f", column {name!r}", f"the table has {is_now!r}, the plan {value!r}"
+                alike.setdefault(difference, []).append(run.run_id)
+    if planned:
+        alike["", "the table lacks this run of the plan"] = list(planned)
+    for (column, problem), runs in alike.items():
+        if len(runs) > _MOST_ALIKE:
+            where, named = f"{path}, each of {len(runs):,} runs{column}", listed(runs, _SHOWN_ALIKE)
+            yield Finding.error(where, f"{problem} ({named})", fix)
         else:
-            yield from _different_cells(path, run, found, accepted, fix, has_repetition=rows.layout.has_repetition)
-    for run_id in planned:
-        yield Finding.error(f"{path}, run {run_id}", "the table lacks this run of the plan", fix)
+            yield from (Finding.error(f"{path}, run {run_id}{column}", problem, fix) for run_id in runs)
+
+
+#: More equal differences are one finding, which names the first runs.
+_MOST_ALIKE, _SHOWN_ALIKE = 5, 20
 
 
 def plan_digest(plan: RunTable) -> str:
@@ -281,27 +287,15 @@ def plan_digest(plan: RunTable) -> str:
     return digest.hexdigest()
 
 
-def _different_cells(
-    path: Path,
-    run: PlannedRun,
-    found: PlannedRun,
-    accepted: Container[tuple[str, str, str]],
-    fix: str,
-    *,
-    has_repetition: bool,
-) -> Iterator[Finding]:
+def _different_cells(run: PlannedRun, found: PlannedRun, *, has_repetition: bool) -> Iterator[tuple[str, Any, Any]]:
+    """Yield the column of each cell in which a run differs from the plan, its value, and that of the plan."""
     pairs = [(name, found.combination[name], value) for name, value in run.combination.items()]
     if has_repetition:
         pairs.append((REPETITION, found.repetition, run.repetition))
     pairs += [(BATCH, found.batch, run.batch), (WARM_UP, found.is_warm_up, run.is_warm_up)]
     for name, is_now, value in pairs:
-        if is_now is not value and str(is_now) != str(value) and (run.run_id, name, str(is_now)) not in accepted:
-            where = f"{path}, run {run.run_id}, column {name!r}"
-            yield Finding.error(where, f"the table has {is_now!r}, the plan {value!r}", fix)
-
-
-#: The method of a config that makes its design; that of the earlier tools, too.
-_DESIGN = frozenset({"create_run_table", "create_run_table_model"})
+        if is_now is not value and str(is_now) != str(value):
+            yield name, is_now, value
 
 
 def _text(program: bytes) -> str:
@@ -376,10 +370,9 @@ def refuse_differences(differences: Iterable[Finding], kind: type[ExecutionError
     Raises:
         ExecutionError: there are some.
     """
-    listed = list(differences)
-    more = len(listed) - _MOST_DIFFERENCES
+    found = list(differences)
+    more = len(found) - _MOST_DIFFERENCES
     if more > 0:
-        listed[_MOST_DIFFERENCES:] = [
-            Finding.error(listed[0].where, f"there are {more:,} more differences", listed[0].fix)
-        ]
-    kind.refuse(listed)
+        rest = Finding.error(found[0].where, f"there are {more:,} more differences", found[0].fix)
+        found[_MOST_DIFFERENCES:] = [rest]
+    kind.refuse(found)

@@ -31,11 +31,7 @@ from robot_runner.core.storage.journal import utc_now
 
 
 def execute_run(
-    experiment: Experiment,
-    task: RunTask,
-    report: Report,
-    gate: InterruptGate,
-    systems: SystemsState | None = None,
+    experiment: Experiment, task: RunTask, report: Report, gate: InterruptGate, systems: SystemsState | None = None
 ) -> None:
     """Execute one run and report what happens as it happens.
 
@@ -71,13 +67,7 @@ def run_contexts(
 ) -> Callable[[str], RobotRunnerContext]:
     """Return a function that makes the context of a run for an owner; all of them share one broker.
 
-    Args:
-        experiment: what is executed.
-        task: the run.
-        clock: the run's.
-        resources: closes what its callbacks open.
-        report: takes the records.
-        ending: ends the run from any thread; None in the orchestrator, where `context.fail` ends the callback itself.
+    `ending` ends the run from any thread; None in the orchestrator, where `context.fail` ends the callback itself.
     """
     broker = MeasureBroker(task.run_id, experiment.columns, report, task.measures, task.shared)
     times = MissionTimes(clock, report, experiment.parameters.phases)
@@ -122,12 +112,7 @@ class _Run:
     """One run in its own process."""
 
     def __init__(
-        self,
-        experiment: Experiment,
-        task: RunTask,
-        report: Report,
-        gate: InterruptGate,
-        systems: SystemsState | None,
+        self, experiment: Experiment, task: RunTask, report: Report, gate: InterruptGate, systems: SystemsState | None
     ) -> None:
         self._experiment = experiment
         self._task = task
@@ -166,12 +151,7 @@ class _Run:
         self._clock = open_clock(self._experiment.parameters.robot, resources, seed=task.run_seed)
         seed_random_numbers(task.run_seed)  # after the clock: the simulator has imported NumPy by now
         self._context_for = run_contexts(
-            self._experiment,
-            task,
-            clock=self._clock,
-            resources=resources,
-            report=self._report,
-            ending=self._ending,
+            self._experiment, task, clock=self._clock, resources=resources, report=self._report, ending=self._ending
         )
 
     def _emit_events(self) -> None:
@@ -306,11 +286,8 @@ def publish_returned(context: RobotRunnerContext, returned: object) -> None:
     if returned is None:
         return
     if not isinstance(returned, Mapping):
-        raise MeasureError(
-            f"populate_run_data returned {returned!r}, of type {type(returned).__name__}",
-            where=context.owner,
-            fix="Return a mapping from measure to value, or nothing.",
-        )
+        problem = f"populate_run_data returned {returned!r}, of type {type(returned).__name__}"
+        raise MeasureError(problem, where=context.owner, fix="Return a mapping from measure to value, or nothing.")
     refused = [error for name, value in returned.items() if (error := _refused(context, name, value))]
     if refused:
         fixes = " ".join(dict.fromkeys(error.fix for error in refused))

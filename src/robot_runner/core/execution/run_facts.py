@@ -115,11 +115,8 @@ def _note_clock(manifest: dict[str, Any], facts: Mapping[str, Any]) -> None:
     """Update the manifest's `clocks` by the offset of a computer's clock before and after one run.
 
     The manifest has extremes only, so that it does not grow with the number of runs; the journal has each run's facts.
-
-    Args:
-        manifest: what is changed.
-        facts: as a run reports them: `host`; `before` and `after`, each with `wall_offset` and `round_trip` in s;
-            `uncertainty` in s; `drift` in parts of one.
+    `facts` are as a run reports them: `host`; `before` and `after`, each with `wall_offset` and `round_trip` in s;
+    `uncertainty` in s; `drift` in parts of one.
 
     Example:
         >>> manifest = {}
@@ -184,7 +181,7 @@ class UnreadFactors:
 
     def _has_callbacks(self) -> bool:
         """Return whether a run has any callback: a config without any is only planned so far."""
-        return any(map(self._experiment.events.subscribers, (RobotRunnerEvents.BEFORE_RUN, *RUN_EVENTS)))
+        return bool(self._experiment.events.subscribers(RobotRunnerEvents.BEFORE_RUN, *RUN_EVENTS))
 
 
 def missing_measures(experiment: Experiment, task: RunTask, outcome: RunOutcome) -> list[Finding]:
@@ -208,9 +205,7 @@ def missing_measures(experiment: Experiment, task: RunTask, outcome: RunOutcome)
 def left_logs(folder: ExperimentFolder, unfinished: Mapping[str, int]) -> list[Finding]:
     """Keep the logs of runs of an execution that was killed, and warn of logs that belong to no known run.
 
-    Args:
-        folder: the experiment's.
-        unfinished: the runs whose attempts have no recorded end, each with its slot; 0 is on another machine.
+    `unfinished` has the runs whose attempts have no recorded end, each with its slot; 0 is on another machine.
 
     Raises:
         StorageError: it cannot be moved.

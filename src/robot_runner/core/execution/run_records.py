@@ -39,11 +39,8 @@ class RecordWriter:
     Those of other events are sent at once, as a mission may last for hours.
 
     A mission must not wait long for an orchestrator that waits for a disk, or was suspended: the robot would carry out
-    its last command. What the pipe does not take is held then, and sent with the next record.
-
-    Args:
-        descriptor: of the pipe.
-        waits: whether writing waits until the pipe has room, where no robot moves meanwhile.
+    its last command. What the pipe does not take is held then, and sent with the next record. With `waits`, writing
+    waits until the pipe has room, where no robot moves meanwhile.
     """
 
     def __init__(self, descriptor: int, *, waits: bool = False) -> None:
@@ -73,11 +70,9 @@ class RecordWriter:
             finally:
                 self._is_sending = False
             if len(self._held) > _MOST_HELD and kind in _OF_CALLBACKS:
-                raise ExecutionError(
-                    "the orchestrator does not take what the run tells: it was suspended, or waits for a disk",
-                    where=kind,
-                    fix="Let it go on (fg), or look at the disk of the results; then execute the run again.",
-                )
+                problem = "the orchestrator does not take what the run tells: it was suspended, or waits for a disk"
+                fix = "Let it go on (fg), or look at the disk of the results; then execute the run again."
+                raise ExecutionError(problem, where=kind, fix=fix)
 
     def _send(self, *, waits: bool) -> None:
         """Write the held records: as much as the pipe takes, or with `waits` all of them."""

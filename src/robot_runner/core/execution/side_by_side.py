@@ -50,10 +50,7 @@ class _Busy:
 class SideBySide:
     """Keeps as many runs in flight as there are free places whose claims do not clash.
 
-    Args:
-        ongoing: the experiment whose runs they are.
-        places: where they can be executed.
-        claims: returns what a run claims with a robot that is reached like this.
+    `claims` returns what a run claims with a robot that is reached like this.
     """
 
     def __init__(
@@ -77,8 +74,7 @@ class SideBySide:
     def execute(self, *, is_cleared: bool) -> bool:
         """Execute the runs that are left; return whether all of them were, and the experiment may go on.
 
-        Args:
-            is_cleared: whether a callback has asked the user already whether the first run may start.
+        With `is_cleared`, a callback has asked the user already whether the first run may start.
         """
         if not self._begun:
             self._await_elsewhere()
@@ -219,11 +215,9 @@ class SideBySide:
             ExecutionError: none can come.
         """
         if not (self._places.descriptors or self._places.due is not None):
-            raise ExecutionError(
-                "no place is left where a run can be executed",
-                where=self._passed_over[0].run_id,
-                fix="See to the robots or workers that were set aside, and start the experiment again: it resumes.",
-            )
+            problem = "no place is left where a run can be executed"
+            fix = "See to the robots or workers that were set aside, and start the experiment again: it resumes."
+            raise ExecutionError(problem, where=self._passed_over[0].run_id, fix=fix)
         self._ongoing.poll_loop.turn([], self._places)
         self._take_note_of_places(is_idle=True)
 
@@ -258,7 +252,7 @@ class _Turns:
         self._failed: defaultdict[str, list[PendingRun]] = defaultdict(list)
 
     def plan(self, rows: RunTableRows, to_do: Container[int]) -> None:
-        """Count the planned runs, and those done by each robot, without runs that are executed again.
+        """Count the planned runs, and those that each robot has executed, without runs that are executed again.
 
         Failures in a row are not reset: an adaptive design adds runs one by one, each with a plan.
         """
@@ -268,7 +262,7 @@ class _Turns:
         self._taken.clear()
         self._all.clear()
         for place in places:
-            if place not in to_do and rows.status(place) is RunStatus.DONE:
+            if place not in to_do and rows.status(place) is not RunStatus.TODO:
                 self._count(groups[place], str(rows.row(place)[ROBOT]), 1)
 
     def choose(self, task: RunTask, free: Sequence[Place], count: int) -> Place | None:
@@ -279,23 +273,20 @@ class _Turns:
         return min(fair, key=lambda place: (self._taken[group, place.name], self._all[place.name]), default=None)
 
     def begin(self, task: RunTask, place: Place) -> None:
-        """Note that a robot begins a run."""
         self._count(_group(task.combination, task.repetition), place.name, 1)
 
     def end(
         self, run: PendingRun, task: RunTask, place: Place, outcome: RunOutcome | None, count: int
     ) -> tuple[list[PendingRun], Finding | None]:
-        """Note how a run went.
-
-        Returns:
-            if the robot is to be set aside, the runs that others execute again, and the finding; else nothing.
-        """
+        """Note how a run went; if its robot is to be set aside, return the runs for others, and the finding."""
         if outcome is not None and outcome.status is AttemptStatus.DONE:
             self._failed[place.name].clear()
             return [], None
-        self._count(_group(task.combination, task.repetition), place.name, -1)
+        if outcome is None or outcome.status is AttemptStatus.INTERRUPTED or outcome.is_lost:
+            self._count(_group(task.combination, task.repetition), place.name, -1)  # it is to do again
         if outcome is None or outcome.status is AttemptStatus.INTERRUPTED:
             return [], None
+        # A run that failed is of the robot's share: one that fails a treatment soon would take most runs of it.
         failed = self._failed[place.name]
         failed.append(run)
         if len(failed) < _MOST_FAILURES or count < 2:  # noqa: PLR2004 - the last robot is never set aside

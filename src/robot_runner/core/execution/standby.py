@@ -24,13 +24,7 @@ from robot_runner.core.errors import LinkError, StorageError
 from robot_runner.core.events.context import SystemClock
 from robot_runner.core.events.measure import CONFIG_OWNER
 from robot_runner.core.execution.left_processes import end_left_processes
-from robot_runner.core.execution.processes import (
-    await_an_end,
-    await_end,
-    forked,
-    settle_streams,
-    use_no_streams,
-)
+from robot_runner.core.execution.processes import await_an_end, await_end, forked, settle_streams, use_no_streams
 from robot_runner.core.execution.run_events import has_standby, made_safe, run_contexts
 from robot_runner.core.execution.run_records import failure_fields
 from robot_runner.core.execution.standby_lock import LONGEST, LOOK, hold_standby_lock, is_at_work, kill_if_stopped
@@ -102,9 +96,7 @@ class Standby:
     def begin(self, run: int | None, let_go: Sequence[int] = ()) -> None:
         """Fork the process that waits for the death of the run.
 
-        Args:
-            run: the run's process; None where it is known to be dead.
-            let_go: descriptors that the forked process closes.
+        `run` is None where it is known to be dead; the forked process closes the descriptors `let_go`.
         """
         self._parent = os.getpid()
         self._pid = forked()
@@ -250,10 +242,8 @@ class Standby:
     def _make_safe(self, connection: _Connection) -> list[str]:
         """Stop the robot on each topic, make each system safe, and stop the robot again; a failure skips no step.
 
-        Goals are cancelled meanwhile, as the server of an action may hang.
-
-        Returns:
-            what remains doubtful: topics without a subscriber, and what systems warn of.
+        Goals are cancelled meanwhile, as the server of an action may hang. Return what remains doubtful: topics without
+        a subscriber, and what systems warn of.
         """
         commanded = self.state.commanded
         topics = [each for each in commanded if each.message_type != CANCELLING]
@@ -321,10 +311,7 @@ class _Connection:
     def at_graphs(
         self, act: Callable[[RobotLink, Sequence[Commanded]], _T], commanded: Sequence[Commanded]
     ) -> list[_T]:
-        """Do something at all graphs at once, so that no robot waits for another that does not answer.
-
-        Returns:
-            what it returned at each.
+        """Do something at all graphs at once, so that no robot waits for another, and return what it returned.
 
         Raises:
             Exception: the first that it has raised; the others are done then.
@@ -365,7 +352,6 @@ class _Connection:
         return resources.open(link_key("robot", graph), opener)
 
     def close(self) -> None:
-        """Close the links."""
         with ExitStack() as each_of_them:
             for resources in (self._resources, *self._others.values()):
                 each_of_them.callback(resources.close)

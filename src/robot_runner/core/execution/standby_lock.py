@@ -79,10 +79,7 @@ def await_standby(folder: ExperimentFolder) -> Finding | None:
     """Wait until the standbys of an earlier execution have ended; kill one that takes too long.
 
     Two processes must not command one robot. A standby that outlived its orchestrator may still be at work when the
-    next execution begins.
-
-    Returns:
-        how long it was waited; None where there was no standby.
+    next execution begins. Return how long it was waited; None where there was no standby.
 
     Raises:
         ExecutionError: one is still there afterwards, as it is another user's process.

@@ -165,9 +165,6 @@ class SystemsFile:
 
     Where it cannot be written, the run goes on without it: it is needed only where keeper, standby and orchestrator are
     killed with the run.
-
-    Args:
-        folder: of the experiment, at the slot.
     """
 
     def __init__(self, folder: ExperimentFolder) -> None:

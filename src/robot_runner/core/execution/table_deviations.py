@@ -31,12 +31,8 @@ def cell_deviations(
     """Yield each cell of a run's row that differs from its last attempt and from the changes recorded since.
 
     The same number in other digits (`11.0` for 11, as pandas writes beside a missing value), or in fewer, as R and
-    spreadsheets write, and `NA` for nothing are put back in `rows`.
-
-    Args:
-        rows: the table as it is on disk.
-        record: the end of the run's last attempt.
-        changed: the changes that were recorded since: the text by run and column.
+    spreadsheets write, and `NA` for nothing are put back in `rows`. `record` is the end of the run's last attempt;
+    `changed` has the text by run and column.
     """
     run_id = record["run"]
     if record["status"] not in ENDS:  # it was interrupted, and is to be done again
@@ -69,18 +65,12 @@ def _expected(rows: RunTableRows, status: Any, record: Mapping[str, Any]) -> dic
 
 
 def treatment_deviations(
-    rows: RunTableRows,
-    record: Mapping[str, Any],
-    defaults: Mapping[str, Any],
-    changed: Mapping[tuple[str, str], str],
+    rows: RunTableRows, record: Mapping[str, Any], defaults: Mapping[str, Any], changed: Mapping[tuple[str, str], str]
 ) -> Iterator[Deviation]:
     """Yield each treatment, and the repetition, of a done run that differs from what was executed or recorded since.
 
-    Args:
-        rows: the table as it is on disk.
-        record: the beginning of the run's last attempt.
-        defaults: the treatments, of factors that were added later, that count for earlier runs.
-        changed: the changes that were recorded since, by run and column.
+    `record` is the beginning of the run's last attempt. Of factors that were added later, `defaults` count for earlier
+    runs; `changed` has the text by run and column.
     """
     run_id, executed = record["run"], record.get("combination")
     place = rows.place_of(run_id)
@@ -96,18 +86,12 @@ def treatment_deviations(
 
 
 def planned_otherwise(
-    plan: Sequence[PlannedRun],
-    rows: RunTableRows,
-    executed: Container[str],
-    changed: Mapping[tuple[str, str], str],
+    plan: Sequence[PlannedRun], rows: RunTableRows, executed: Container[str], changed: Mapping[tuple[str, str], str]
 ) -> Iterator[Deviation]:
     """Yield each treatment of a run that is not done which differs from the plan, and each run that the table lacks.
 
-    Args:
-        plan: by the config.
-        rows: the table as it is on disk.
-        executed: the runs whose rows are compared with the journal, and not here where they are missing.
-        changed: the changes that were recorded before: the text by run and column.
+    Where rows of `executed` runs are missing, that is found by the journal, and not here. `changed` has the text by run
+    and column.
     """
     planned = {run.run_id: run for run in plan}
     found: list[Deviation] = []
@@ -125,14 +109,7 @@ def with_changes(
 ) -> tuple[RunTableRows, str]:
     """Apply recorded changes by hand to a table that was made anew.
 
-    Args:
-        path: the table's file, for errors.
-        rows: the table as it was planned and executed.
-        plan: from which it was made.
-        changed: the text of each changed cell, by run and column.
-
-    Returns:
-        the rows, and the changes in words: ", and 2 cells as ...".
+    `changed` has the text by run and column. Return the rows, and the changes in words: ", and 2 cells as ...".
     """
     columns = {name: place for place, name in enumerate(rows.layout.columns) if name != EXCLUDED}
     cells = {
@@ -168,13 +145,8 @@ def amended_ends(
 ) -> tuple[list[dict[str, Any]], list[Deviation]]:
     """Return the ends of attempts with the measures that were changed by hand, and changed cells of quality columns.
 
-    A new value has the doubts for which it gives reason itself, and none of those about the earlier one.
-
-    Args:
-        rows: the table as it is on disk; its quality columns are made to follow the values.
-        columns: the measures of the run table, with their plausible values.
-        ends: the records of the last ends of attempts.
-        found: the cells that were changed.
+    A new value has the doubts for which it gives reason itself, and none of those about the earlier one. Quality
+    columns of `rows` are made to follow the values; `ends` are the records of the last ends of attempts.
     """
     changed: dict[str, list[str]] = {}
     for each in found:

@@ -364,8 +364,7 @@ class _Recovery:
         """Note where the rows of a planned table were put into another order."""
         if self._is_by_hand or self._is_known_to_be_reordered or not is_reordered(self._plan, table.rows):
             return table
-        deviation = Deviation("", ORDER, "as planned", "changed by hand")
-        table.deviations = (*table.deviations, deviation)
+        table.deviations = (*table.deviations, Deviation("", ORDER, "as planned", "changed by hand"))
         problem = "the rows of the run table were put into another order: runs are executed and reported in that order"
         table.findings = (*table.findings, Finding.warning(str(self._path), problem))
         return table

@@ -73,8 +73,7 @@ class RunTask:
 
 def seed_of_run(experiment_seed: int, run_id: str) -> int:
     """Return a seed of 32 bits that depends on the experiment's seed and the run, and on nothing else."""
-    digest = hashlib.blake2b(f"{experiment_seed}/{run_id}".encode(), digest_size=4).digest()
-    return int.from_bytes(digest, "big")
+    return int.from_bytes(hashlib.blake2b(f"{experiment_seed}/{run_id}".encode(), digest_size=4).digest(), "big")
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,7 +97,6 @@ class RunFailure:
         event: the event during which it failed, or empty where that is not known.
         owner: whose callback failed: a plugin's name, `config`, or empty.
         problem: what happened, in one line.
-        traceback: the Python traceback, where there is one.
     """
 
     problem: str
@@ -118,7 +116,6 @@ class RunOutcome:
 
     Attributes:
         stamps: UTC time of each event's emission, by the event's name.
-        measures: what was published, by column.
         doubts: what is doubtful about columns that were not published, by column: for what comes after the run.
         failure: the first thing that went wrong, if any did.
         later_failures: what went wrong after that, during closing.
@@ -214,9 +211,8 @@ class OutcomeBuilder:
             self._stamps.setdefault(self.event, fields["at"])
         elif kind == "measure":
             name = fields["name"]
-            origin = Origin(fields["origin"])
             self._measures[name] = PublishedMeasure(
-                name, fields["value"], fields["owner"], self._units.get(name, ""), origin
+                name, fields["value"], fields["owner"], self._units.get(name, ""), Origin(fields["origin"])
             )
         elif kind == "finding":
             where = f"{self._run_id}, {fields['owner']}"
@@ -240,18 +236,14 @@ class OutcomeBuilder:
         self._stamps.update(outcome.stamps)
         self._measures.update(outcome.measures)
         self._findings += outcome.findings
-        for name, doubts in (
-            *outcome.doubts.items(),
-            *((name, each.doubts) for name, each in outcome.measures.items()),
-        ):
+        published = ((name, each.doubts) for name, each in outcome.measures.items())
+        for name, doubts in (*outcome.doubts.items(), *published):
             self._doubts[name] += doubts
 
     def outcome(self, *, ended_because: str = "", interrupted: bool = False) -> RunOutcome:
         """Return how the attempt went.
 
-        Args:
-            ended_because: why the run was ended or how its process died, where it did not end by itself.
-            interrupted: whether the user asked for the end.
+        `ended_because` is why the run was ended or how its process died, where it did not end by itself.
         """
         failures = list(self._failures)
         if ended_because:

@@ -42,15 +42,10 @@ def executed_beside_runs(
 ) -> Steps[RunOutcome]:
     """Execute `mission` as the mission of a run without a row, step by step, and return how it went; no file is kept.
 
-    Args:
-        experiment: whose robot and parameters it sees.
-        task: the run whose treatments it sees.
-        mission: may take the context of a run, as any callback.
-        watch: takes its records, and the user's interruption.
-        deadline_s: how long it may take, s of real time; None for no limit.
-        profilers: the only plugins that take part.
-        events: the events at which their callbacks are called.
-        changed: static parameters that differ from the experiment's.
+    The mission may take the context of a run, as any callback; it sees the experiment's robot and parameters, and the
+    treatments of `task`. `watch` takes its records, and the user's interruption. `profilers` are the only plugins that
+    take part, at these `events`. `changed` are static parameters that differ from the experiment's. `deadline_s` is how
+    long it may take, s of real time; None for no limit.
     """
     parameters = experiment.parameters.but(
         phases=(),
@@ -80,11 +75,7 @@ def executed_beside_runs(
 
 
 def _scratch_folder(folder: ExperimentFolder) -> TemporaryDirectory[str]:
-    """Make a temporary folder, which is removed on leaving.
-
-    Raises:
-        StorageError: it cannot be made.
-    """
+    """Make a temporary folder, which is removed on leaving; raise a `StorageError` if it cannot be made."""
     where, prefix = (folder.root, ASIDE) if holder_of(folder.lock) else (None, "robot-runner-")
     with storage_errors(where or Path(gettempdir()), "written"):
         return TemporaryDirectory(prefix=prefix, dir=where, ignore_cleanup_errors=True)

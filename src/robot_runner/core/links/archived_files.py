@@ -57,10 +57,7 @@ def pack(source: Path, name: str, archive: IO[bytes]) -> None:
 def unpack(archive: IO[bytes], folder: Path, most: int) -> Unpacked:
     """Unpack the regular files of an archive into a folder; a file that is cut off is left out.
 
-    Args:
-        archive: at its beginning; it may be cut off.
-        folder: must exist.
-        most: how many bytes are allowed.
+    The archive may be cut off; the folder must exist. `most` bytes are allowed.
     """
     import tarfile  # noqa: PLC0415 - as above
 

@@ -87,10 +87,8 @@ def keep_commanding_zero(link: RobotLink, commanded: Sequence[tuple[str, str]]) 
     """Command zero on topics (name and type) of one graph for some seconds, and until every subscriber is reached.
 
     On a topic without a subscriber, one is awaited for as long: it may have to be discovered. Where a dead process of
-    ours is listed as one, a participant that joins after its death commands as well, and tells who is reached.
-
-    Returns:
-        the topics without a subscriber.
+    ours is listed as one, a participant that joins after its death commands as well, and tells who is reached. Return
+    the topics without a subscriber.
 
     Raises:
         LinkError: a subscriber of a topic, or the robot, is not reached. A failure at one topic is raised after the

@@ -43,9 +43,7 @@ def link_findings(robot: str | None) -> list[Finding]:
 def begin_graph_look(robot: str, needs: Mapping[str, Sequence[GraphNeed]]) -> Callable[[], Sequence[Finding]] | None:
     """Begin to check that the graph of a robot has what plugins need; None where its link cannot look at a graph.
 
-    Args:
-        robot: how it is reached.
-        needs: with names relative to the robot's namespace, by the place for findings.
+    `needs` are by the place for findings, with names relative to the robot's namespace.
 
     Raises:
         LinkError: there is no such robot, or a name cannot be one.
@@ -61,11 +59,7 @@ def begin_graph_look(robot: str, needs: Mapping[str, Sequence[GraphNeed]]) -> Ca
 
 
 def robot_input_files(robot: str) -> Iterable[InputFile]:
-    """Return the files that the options of a robot name.
-
-    Raises:
-        LinkError: there is no such robot.
-    """
+    """Return the files that the options of a robot name; raise a `LinkError` if there is no such robot."""
     kind, name = resolved_robot(robot)
     return kind.input_files(name) if isinstance(kind, kinds.ReadsFiles) else ()
 
@@ -85,16 +79,12 @@ def meant_robot(robot: str) -> str | None:
 
 def looks_for_robot(robot: str | None) -> bool:
     """Return whether a name stands for any robot that is found (`auto`)."""
-    return robot is not None and isinstance(_kind_or_none(robot), kinds.FindsRobot)
+    return isinstance(_kind_or_none(robot), kinds.FindsRobot)
 
 
 def found_robot(robot: str | None) -> kinds.FoundRobot | None:
-    """Return the robot that `auto` finds; None for any other name.
-
-    Raises:
-        LinkError: there is none.
-    """
-    kind = None if robot is None else _kind_or_none(robot)
+    """Return the robot that `auto` finds, None for any other name; raise a `LinkError` if there is none."""
+    kind = _kind_or_none(robot)
     return _found(kind, str(robot)) if isinstance(kind, kinds.FindsRobot) else None
 
 
@@ -114,8 +104,8 @@ def is_simulated(robot: str | None) -> bool:
         >>> is_simulated("simulated:task_power_factor=1.1")
         True
     """
-    kind = None if robot is None else _kind_or_none(robot)
-    return kind is not None and isinstance(kind, kinds.RobotLinkKind) and kind.is_simulated
+    kind = _kind_or_none(robot)
+    return isinstance(kind, kinds.RobotLinkKind) and kind.is_simulated
 
 
 def lives_by_simulation(context: RobotRunnerContext) -> bool:
@@ -126,11 +116,7 @@ def lives_by_simulation(context: RobotRunnerContext) -> bool:
 def open_clock(robot: str | None, resources: Resources, seed: int) -> Clock:
     """Return the clock of a run: the simulation's, the graph's where that lives by one of its own, else this machine's.
 
-    Args:
-        robot: how the robot is reached, or None where the experiment has none; an option such as
-            `simulated:initial_charge=40` sets a figure of the simulated robot.
-        resources: the run's, with which the simulation is closed.
-        seed: the run's seed.
+    An option such as `simulated:initial_charge=40` sets a figure of the simulated robot.
 
     Raises:
         LinkError: there is no link of this name, the simulator is not installed, or the graph does not tell the time.
@@ -159,7 +145,7 @@ def preload_before_forks(robot: str | None) -> None:
     Importing a simulator starts no thread; importing the client library of a real robot may, and threads do not survive
     a fork. A failing import is reported by the run.
     """
-    kind = None if robot is None else _kind_or_none(robot)
+    kind = _kind_or_none(robot)
     if is_simulated(robot) or (isinstance(kind, kinds.CanBeForked) and kind.can_be_forked):
         with suppress(LinkError, ImportError):
             preload_robot(robot)
@@ -284,11 +270,8 @@ def run_robot(context: RobotRunnerContext) -> tuple[kinds.RobotLinkKind, RobotNa
         LinkError: the run has no robot, there is no such link, or no robot was found.
     """
     if context.robot is None:
-        raise LinkError(
-            "the experiment names no robot",
-            where="robot",
-            fix=f"Name one in the config: robot = {SIMULATED!r}. Or: --set robot={SIMULATED}.",
-        )
+        fix = f"Name one in the config: robot = {SIMULATED!r}. Or: --set robot={SIMULATED}."
+        raise LinkError("the experiment names no robot", where="robot", fix=fix)
     return resolved_robot(context.robot)
 
 
@@ -314,9 +297,8 @@ def _with_namespace(robot: str, name: RobotName) -> RobotName:
         namespace_prefix(name.namespace)
     except LinkError as error:
         problem = f"robot is {robot!r}, which names a robot of a graph by its namespace: {error.problem}"
-        raise LinkError(
-            problem, where="robot", fix=f"Say {name.link}://alice, or {name.link} for all of it."
-        ) from error
+        fix = f"Say {name.link}://alice, or {name.link} for all of it."
+        raise LinkError(problem, where="robot", fix=fix) from error
     return name
 
 
@@ -365,10 +347,10 @@ def open_robot(robot: str, *, namespace: str = "", seed: int = 1) -> Iterator[tu
         yield link, clock
 
 
-def _kind_or_none(robot: str) -> kinds.RobotLinkKind | kinds.FindsRobot | None:
+def _kind_or_none(robot: str | None) -> kinds.RobotLinkKind | kinds.FindsRobot | None:
     """Return the kind of link of a robot's name; one that cannot be imported is left to `link_findings`."""
     try:
-        return kinds.link_kind(robot.partition(":")[0].strip())
+        return None if robot is None else kinds.link_kind(robot.partition(":")[0].strip())
     except PluginError:
         return None
 

@@ -28,12 +28,9 @@ def cancel_all_goals(link: RobotLink, action: str, *, timeout: float = _ANSWER_S
     """Request the cancelling of all goals of an action server, also those of others; do nothing without a server.
 
     The request has no time stamp, up to which actionlib would cancel later goals as well: where clocks differ, or the
-    graph's time is simulated, it would go on cancelling the goals of others.
-
-    Args:
-        link: to a robot whose graph is known: a server that it lacks has ended, and is not waited for.
-        action: its full name.
-        timeout: of the server's answer, and then of the end of its goals, s.
+    graph's time is simulated, it would go on cancelling the goals of others. The link's graph is known: a server that
+    it lacks has ended, and is not waited for. `timeout` is for the server's answer, and then for the end of its goals,
+    s.
 
     Raises:
         LinkError: the server refuses, does not answer, or goes on.
@@ -75,7 +72,7 @@ def _request(link: RobotLink, action: str, timeout: float, patience: float) -> b
             raise
         answer = link.call(service, message_type, {}, timeout=timeout)
     if answer["return_code"] == _REFUSED:
-        raise _refusal(action)
+        raise LinkError("the action server refuses to cancel its goals", where=action, fix=_FIX)
     return True
 
 
@@ -98,10 +95,6 @@ def _see_ended(link: RobotLink, action: str, timeout: float) -> None:
     except LinkError as error:
         if told and action in link.actions():  # one that has had no goal tells nothing
             raise _going_on(action, timeout) from error
-
-
-def _refusal(action: str) -> LinkError:
-    return LinkError("the action server refuses to cancel its goals", where=action, fix=_FIX)
 
 
 def _going_on(action: str, timeout: float) -> LinkError:

@@ -42,7 +42,6 @@ class ActionResult:
     """The result of a goal.
 
     Attributes:
-        status: how it ended.
         result: the message of the action's result; without success, as far as the server filled it in.
         text: of an actionlib server of ROS 1; empty elsewhere.
 

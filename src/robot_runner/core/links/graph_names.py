@@ -173,10 +173,7 @@ def _plain(value: object) -> object:
 def field_of(message: Message, field: str, *, where: str) -> Any:
     """Return the field of a message, whatever it is.
 
-    Args:
-        message: a mapping by field.
-        field: the way to it; a number names an element of an array, and a negative one counts from its end.
-        where: for the error.
+    `field` is the way to it; a number names an element of an array, and a negative one counts from its end.
 
     Raises:
         LinkError: there is no such field.

@@ -125,9 +125,8 @@ class HostCommands:
         """Copy a file or a folder to the host; see `HostAccess.copy_to`."""
         local = Path(source)
         if not local.exists():
-            raise LinkError(
-                f"there is no {local} to copy", where=self._name, fix="Name a file or folder that is there."
-            )
+            fix = "Name a file or folder that is there."
+            raise LinkError(f"there is no {local} to copy", where=self._name, fix=fix)
         above, _, name = destination.rstrip("/").rpartition("/")
         if not destination.startswith(("/", "~/")) or name in {"", "~", ".", ".."}:
             fix = "Give the whole path that it is to have there: '/...', or '~/...' in the home folder."
@@ -135,16 +134,18 @@ class HostCommands:
         folder = shell_path(f"{above}/")
         script = f"mkdir -p {folder} && cd {folder} && rm -rf {shlex.quote(f'./{name}')} && exec tar -xf -"
         with TemporaryFile() as archive:
-            pack(local, name, archive)
+            try:
+                pack(local, name, archive)
+            except OSError as error:
+                problem = f"{local} was not copied to {destination}: {error}"
+                fix = "See that it can be read and is not written meanwhile, and that there is room for a copy here."
+                raise LinkError(problem, where=self._name, fix=fix) from error
             ended = Program(self._line(timeout_s, script), source=archive).follow(timeout_s)
         self._refuse_unexecuted(ended, f"while {local} was copied")
         if ended.exit_status or not ended.is_in_time:
             why = last_lines(ended.errors, 1) if ended.is_in_time else f"it took longer than {timeout_s:g} s"
-            raise LinkError(
-                f"{local} was not copied to {destination}: {why}",
-                where=self._name,
-                fix="Look at the path, the permissions and the room there.",
-            )
+            fix = "Look at the path, the permissions and the room there."
+            raise LinkError(f"{local} was not copied to {destination}: {why}", where=self._name, fix=fix)
 
     def fetch(self, *patterns: str, timeout_s: float = 60.0) -> list[Path]:
         """Fetch files into the run's folder; see `HostAccess.fetch`."""
@@ -216,26 +217,18 @@ class HostCommands:
     def _refuse_unexecuted(self, ended: Ended, meanwhile: str) -> None:
         if ended.exit_status == _SSH_FAILED and not self.shell.is_connected():
             said = last_lines(ended.errors, 1)
-            raise LinkError(
-                f"the connection was lost {meanwhile}{f': {said}' if said else ''}",
-                where=self._name,
-                fix="Check whether it is switched on, and at the network.",
-            )
+            problem = f"the connection was lost {meanwhile}{f': {said}' if said else ''}"
+            raise LinkError(problem, where=self._name, fix="Check whether it is switched on, and at the network.")
         if ended.is_in_time and not ended.has_begun:
             said = last_lines(ended.errors or ended.output, 1)
-            raise LinkError(
-                f"the host did not execute the command{f': {said}' if said else ''}",
-                where=self._name,
-                fix=LET_EXECUTE,
-            )
+            problem = f"the host did not execute the command{f': {said}' if said else ''}"
+            raise LinkError(problem, where=self._name, fix=LET_EXECUTE)
 
     def _failed(self, result: CommandResult, how: str) -> CommandError:
         said = last_lines(result.errors or result.output, _LAST_LINES)
-        return CommandError(
-            f"{shortened(result.command)!r} {how}{f': {said}' if said else ''}",
-            where=self._name,
-            fix="Look at commands.log in the host's folder of the run, or allow it more time (timeout_s).",
-        )
+        problem = f"{shortened(result.command)!r} {how}{f': {said}' if said else ''}"
+        fix = "Look at commands.log in the host's folder of the run, or allow it more time (timeout_s)."
+        return CommandError(problem, where=self._name, fix=fix)
 
 
 def _whole_lines(text: str) -> str:

@@ -183,12 +183,7 @@ class Subscriber(Protocol):
         """Call `callback` with the bytes of each message of the topic; otherwise as `subscribe`."""
 
     def wait_for(
-        self,
-        topic: str,
-        message_type: str,
-        condition: Callable[[Message], bool] | None = None,
-        *,
-        timeout: float = 5.0,
+        self, topic: str, message_type: str, condition: Callable[[Message], bool] | None = None, *, timeout: float = 5.0
     ) -> Message:
         """Return the first message from now on that satisfies the condition (None: the first); `timeout` is in seconds.
 

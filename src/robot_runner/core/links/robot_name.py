@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
 
@@ -53,11 +53,7 @@ class RobotName:
 
     @classmethod
     def parse(cls, text: str) -> RobotName:
-        """Parse a name.
-
-        Raises:
-            LinkError: an option has no name or no value, or is given twice.
-        """
+        """Parse a name; raise a `LinkError` if an option has no name or no value, or is given twice."""
         link, colon, rest = text.partition(":")
         if rest.startswith("//"):
             return cls(link.strip(), {}, text.strip())
@@ -65,11 +61,8 @@ class RobotName:
         for part in rest.split(",") if colon else ():
             name, equals, value = (piece.strip() for piece in part.partition("="))
             if not name or not equals or not value:
-                raise LinkError(
-                    f"{part.strip()!r} in {text!r} sets no option",
-                    where=_WHERE,
-                    fix=f"Write it as in '{link.strip()}:option=value,option=value'.",
-                )
+                fix = f"Write it as in '{link.strip()}:option=value,option=value'."
+                raise LinkError(f"{part.strip()!r} in {text!r} sets no option", where=_WHERE, fix=fix)
             if name in options:
                 raise LinkError(f"{text!r} sets {name!r} twice", where=_WHERE, fix="Leave one of them out.")
             options[name] = value
@@ -103,8 +96,7 @@ class Robots:
 
     def __init__(self, *robots: str, **named: str) -> None:
         given = [*((_name_of(link), link) for link in robots), *named.items()]
-        findings = [*_name_findings(given), *_link_findings(given)]
-        ConfigError.refuse(findings)
+        ConfigError.refuse(_findings(given))
         self.links: Mapping[str, str] = MappingProxyType(dict(given))
 
     def __repr__(self) -> str:
@@ -118,24 +110,16 @@ def _name_of(link: object) -> str:
     return namespace[1].strip() if namespace else re.split(r"[/:]", text.partition("://")[2] or text)[0]
 
 
-def _name_findings(given: list[tuple[str, str]]) -> list[Finding]:
+def _findings(given: list[tuple[str, str]]) -> Iterator[Finding]:
     names = [name for name, _ in given]
-    findings = [] if len(given) > 1 else [_finding("fewer than two robots are named", "Write robot = '...' for one.")]
+    if len(given) <= 1:
+        yield Finding.error("Robots", "fewer than two robots are named", "Write robot = '...' for one.")
     for name in dict.fromkeys(names):
         if not _NAME.fullmatch(name):
-            problem = f"{name!r} cannot be the name of a robot"
-            findings.append(_finding(problem, "Use letters, digits, '.', '_' and '-': Robots(alice='...')."))
+            fix = "Use letters, digits, '.', '_' and '-': Robots(alice='...')."
+            yield Finding.error("Robots", f"{name!r} cannot be the name of a robot", fix)
         elif names.count(name) > 1:
-            problem = f"{names.count(name)} robots would be called {name!r}"
-            findings.append(_finding(problem, "Name them: Robots(alice='...', bob='...')."))
-    return findings
-
-
-def _link_findings(given: list[tuple[str, str]]) -> list[Finding]:
-    if all(isinstance(link, str) and link for _, link in given):
-        return []
-    return [_finding("a robot is not text", "Give the name of a link, such as 'ros2://alice'.")]
-
-
-def _finding(problem: str, fix: str) -> Finding:
-    return Finding.error("Robots", problem, fix)
+            fix = "Name them: Robots(alice='...', bob='...')."
+            yield Finding.error("Robots", f"{names.count(name)} robots would be called {name!r}", fix)
+    if not all(isinstance(link, str) and link for _, link in given):
+        yield Finding.error("Robots", "a robot is not text", "Give the name of a link, such as 'ros2://alice'.")

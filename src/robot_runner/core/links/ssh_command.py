@@ -73,11 +73,8 @@ def checked_destination(host: str) -> str:
     """
     is_text = isinstance(host, str) and bool(host)
     if not is_text or host.startswith("-") or any(character.isspace() or character == "\0" for character in host):
-        raise LinkError(
-            f"{host!r} is not a host that ssh could connect to",
-            where="host",
-            fix="Name it as for ssh: 'robot', 'pi@robot' or 'ssh://pi@robot:2222'; this machine is 'localhost'.",
-        )
+        fix = "Name it as for ssh: 'robot', 'pi@robot' or 'ssh://pi@robot:2222'; this machine is 'localhost'."
+        raise LinkError(f"{host!r} is not a host that ssh could connect to", where="host", fix=fix)
     return host
 
 
@@ -176,12 +173,7 @@ def execute(command: list[str], *, timeout: float) -> subprocess.CompletedProces
         subprocess.TimeoutExpired: it takes longer.
     """
     done = subprocess.run(  # noqa: S603 - an argument list; the host's name was checked
-        command,
-        stdin=subprocess.DEVNULL,
-        capture_output=True,
-        timeout=timeout,
-        check=False,
-        start_new_session=True,
+        command, stdin=subprocess.DEVNULL, capture_output=True, timeout=timeout, check=False, start_new_session=True
     )
     said = io.BytesIO(done.stdout)
     if passes_login(said):
@@ -339,7 +331,6 @@ class _SocketFolder:
         self.socket = self._path / "ssh"
 
     def remove(self) -> None:
-        """Remove it."""
         shutil.rmtree(self._path, ignore_errors=True)
         os.close(self._descriptor)
 

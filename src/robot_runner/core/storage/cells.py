@@ -128,14 +128,9 @@ def number_of(text: str, *, decimal_comma: bool = False) -> int | float | None:
 def typed_value(text: str, kind: str | None, *, decimal_comma: bool = False) -> CellValue:
     """Return the value that a cell of a column stands for.
 
-    Args:
-        text: the cell.
-        kind: the column's type in the run table's schema; None to guess it from the cell. With `any`, the type of a
-            column with texts and other values, a number that Python would write in another way is a text.
-        decimal_comma: whether `0,5` is read as 0.5.
-
-    Returns:
-        The value; where the cell does not fit the column's type, as `plain_value` reads it.
+    `kind` is the column's type in the run table's schema; None to guess it from the cell. With `any`, the type of a
+    column with texts and other values, a number that Python would write in another way is a text. A cell that does not
+    fit the type is read as `plain_value` does. With `decimal_comma`, `0,5` is read as 0.5.
     """
     if not text:
         return None

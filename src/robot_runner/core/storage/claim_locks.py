@@ -1,8 +1,9 @@
 """Claims of an experiment, which keep other experiments on this machine from using the same robot or device.
 
 Each claim is a file in `$XDG_STATE_HOME/robot-runner/claims/<host>` that is locked while the experiment is executed.
-The system releases the lock when the process dies, however it dies; the file stays, and names the holder. That is for
-experiments of this user; `shared_claims` keeps out those of other users.
+The system releases the lock when the process dies, however it dies; the file stays, and names the holder. What this
+machine has claimed under another name, as DHCP gives it, is known by the holder's `machine`. That is for experiments of
+this user; `shared_claims` keeps out those of other users.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from robot_runner.core.storage.file_shapes import ClaimFile
 from robot_runner.core.storage.guarded_files import open_descriptor
 from robot_runner.core.storage.journal import utc_now
 from robot_runner.core.storage.layout import user_folder
-from robot_runner.core.storage.lock_files import sign, signature_of, try_lock
+from robot_runner.core.storage.lock_files import sign, signature_of, this_boot, try_lock
 from robot_runner.core.storage.shared_claims import hold_against_users, may_be_one
 from robot_runner.core.storage.system_refusals import storage_error
 
@@ -58,6 +59,7 @@ class ClaimHolder:
 
     Attributes:
         before: the folders of earlier holders that were killed and may have left something.
+        machine: its, as in `_this_machine`.
     """
 
     experiment: str = "another one"
@@ -65,6 +67,7 @@ class ClaimHolder:
     pid: int = 0
     since: str = "a moment ago"
     before: Sequence[str] = ()
+    machine: str = ""
 
     def in_words(self) -> str:
         """Return the same in words."""
@@ -83,10 +86,12 @@ def claim_holders(claims: Collection[str]) -> dict[str, ClaimHolder]:
     """Return the holders of these claims at this moment, without changing anything."""
     found: dict[str, ClaimHolder] = {}
     for claim in sorted(claims):
-        with suppress(StorageError, OSError):
-            holder, is_held = _looked_at(_path_of(claim))
-            if is_held:
-                found[claim] = holder
+        with suppress(StorageError):
+            for path in (*_under_other_names(quote(claim, safe="")), _path_of(claim)):
+                with suppress(StorageError, OSError):
+                    holder, is_held = _looked_at(path)
+                    if is_held:
+                        found[claim] = holder
     return found
 
 
@@ -104,9 +109,15 @@ def claiming_folders() -> list[Path]:
 
 
 def _looked_at(path: Path) -> tuple[ClaimHolder, bool]:
-    """Return the holder of a claim, or its last one, and whether it is held now."""
+    """Return the holder of a claim, or its last one, and whether it is held now.
+
+    Of another machine with which the home folder is shared, none is returned.
+    """
     descriptor = open_descriptor(path, path.parent, os.O_RDONLY)
     try:
+        machine = _holder(descriptor).machine
+        if path.parent != state_folder("claims") and (not machine or machine != _this_machine()):
+            return ClaimHolder(), False
         is_held = not _locked(descriptor, fcntl.LOCK_SH)
         return _holder(descriptor), is_held
     finally:
@@ -141,7 +152,7 @@ class HeldClaims:
         goes_on: Callable[[Path], bool] = lambda _: False,
     ) -> None:
         self._claims = sorted(claims)
-        self._signature = ClaimHolder(experiment, str(folder), os.getpid())
+        self._signature = ClaimHolder(experiment, str(folder), os.getpid(), machine=_this_machine())
         self._wait = wait
         self._goes_on = goes_on
         self._held = ExitStack()
@@ -177,20 +188,21 @@ class HeldClaims:
 
     def _overlapping(self) -> Iterator[Finding]:
         """Yield holders of the whole graph of one of our robots, or of a robot on a graph of ours."""
-        names: set[str] = set()
+        paths: list[Path] = []
         with suppress(StorageError):  # of a user without a home folder: told where a claim is to be held
-            names.update(unquote(path.name) for path in _files())
-        for other in sorted(names.difference(self._claims)):
-            claims = [*filter(partial(may_be_one, other), self._claims)]
+            paths = [path for path in _files() if unquote(path.name) not in self._claims] + _under_other_names("*")
+        for path in paths:
+            other = unquote(path.name)
             with suppress(StorageError, OSError):
-                who, fix = self._who_has(other) if claims else ("", "")
+                claims = [*filter(partial(may_be_one, other), self._claims)]
+                who, fix = self._who_has(path) if claims else ("", "")
                 for claim in claims if who else ():
-                    problem = f"{claim} may be one robot with {other}, which is in use by {who}"
-                    yield Finding.error("claims", problem, fix)
+                    is_in_use = "is in use" if claim == other else f"may be one robot with {other}, which is in use"
+                    yield Finding.error("claims", f"{claim} {is_in_use} by {who}", fix)
 
-    def _who_has(self, claim: str) -> tuple[str, str]:
+    def _who_has(self, path: Path) -> tuple[str, str]:
         """Return in words the holder of a claim, or one that left something there, and a fix; empty if none."""
-        holder, is_held = _looked_at(_path_of(claim))
+        holder, is_held = _looked_at(path)
         return (holder.in_words(), _HAVE_IT_WAIT) if is_held else self._who_is_left(holder)
 
     def _who_is_left(self, before: ClaimHolder) -> tuple[str, str]:
@@ -222,8 +234,7 @@ class HeldClaims:
             self.findings.append(Finding.warning("claims", problem, _NAME_A_FOLDER))
             return
         if not is_mine:
-            holder = _holder(descriptor)
-            yield Finding.error("claims", f"{claim} is in use by {holder.in_words()}", _HAVE_IT_WAIT)
+            yield Finding.error("claims", f"{claim} is in use by {_holder(descriptor).in_words()}", _HAVE_IT_WAIT)
             return
         before = _holder(descriptor)
         earlier = before.roots_but(self._signature.folder)
@@ -254,6 +265,24 @@ def _is_folder(path: str) -> bool:
 
 def _files() -> list[Path]:
     return sorted(state_folder("claims").glob("*"))
+
+
+def _under_other_names(pattern: str) -> list[Path]:
+    """Return the files of claims that were made under other names of this machine, or by others that share the home."""
+    own = state_folder("claims")
+    return sorted(path for path in own.parent.glob(f"*/{pattern}") if path.parent != own)
+
+
+def _this_machine() -> str:
+    """Return what tells this machine from others until it is started again; empty where that is not known.
+
+    It is not made of names: they change, and those of copied systems are one. Containers with a network of their own
+    count as machines, since they have graphs of their own.
+    """
+    with suppress(OSError):
+        if boot := this_boot():
+            return f"{boot} {Path('/proc/self/ns/net').readlink()}"
+    return ""
 
 
 def _path_of(claim: str) -> Path:

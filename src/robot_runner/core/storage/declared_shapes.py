@@ -121,9 +121,7 @@ _decode = json.JSONDecoder(object_pairs_hook=_unique_keys).decode
 def faults_of(value: Any, shape: Any) -> list[str]:
     """Return the faults of a value, a line each, `_MOST_FAULTS` at most.
 
-    Args:
-        value: as `json` read it.
-        shape: a TypedDict, or a type in one: `str`, `list[...]`, `dict[str, ...]`, `... | None`, `Moment`, `Any`.
+    `shape` is a TypedDict, or a type in one: `str`, `list[...]`, `dict[str, ...]`, `... | None`, `Moment`, `Any`.
 
     Example:
         >>> faults_of({"runs": [{"run": 7}]}, dict[str, list[dict[str, str]]])

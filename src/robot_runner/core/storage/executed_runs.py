@@ -22,11 +22,7 @@ from robot_runner.core.words import counted, listed
 
 
 def done_runs(journal: Path) -> set[str]:
-    """Return the ids of the runs whose last attempt was done.
-
-    Raises:
-        StorageError: the journal cannot be read.
-    """
+    """Return the ids of the runs whose last attempt was done; raise a `StorageError` if the journal cannot be read."""
     return {run_id for run_id, status in _last_ends(journal).items() if status == "done"}
 
 
@@ -55,10 +51,7 @@ _MOST_NAMED = 8
 def unrecorded_runs(done: Iterable[str], ended: Container[str], manifest: Mapping[str, Any]) -> list[str]:
     """Return the runs that are done by the run table and have no end in the journal, which is older, or missing.
 
-    Args:
-        done: the runs that are done by the table.
-        ended: the runs that have an end in the journal.
-        manifest: lists runs that a user's own table had as done, which are left out.
+    Runs that a user's own table had as done, which the manifest lists, are left out.
     """
     design = manifest.get("design") or {}
     if design.get("source") != "config" and DONE_BEFORE not in design:
@@ -152,11 +145,7 @@ EXCLUSION_KINDS = frozenset({"excluded", "included", "deviation"})
 
 @dataclass(frozen=True, slots=True)
 class ExcludedRun:
-    """An excluded run.
-
-    Attributes:
-        at: when it was excluded (UTC).
-    """
+    """A run that is excluded, since `at` (UTC)."""
 
     run_id: str
     reason: str
@@ -183,11 +172,7 @@ class ExcludedRuns:
 
     @classmethod
     def read(cls, journal: Path) -> ExcludedRuns:
-        """Read a journal, which need not exist.
-
-        Raises:
-            StorageError: it cannot be read.
-        """
+        """Read a journal, which need not exist; raise a `StorageError` if it cannot be read."""
         runs = cls()
         for record in read_journal(journal, kinds=EXCLUSION_KINDS):
             runs.take(record)
@@ -222,11 +207,6 @@ _SETTLE = "Execute the config again: nothing is executed that is done, and each 
 def edited_findings(journal: Path, table: Path, rows: RunTableRows) -> Iterator[Finding]:
     """Yield a warning where treatments or measures of done runs differ from the journal and its recorded changes.
 
-    Args:
-        journal: the experiment's history.
-        table: the file from which `rows` were read.
-        rows: the run table.
-
     Raises:
         StorageError: the journal cannot be read.
     """
@@ -253,9 +233,8 @@ def edited_findings(journal: Path, table: Path, rows: RunTableRows) -> Iterator[
     numbers = {name: Counter(map(number_of, texts)) for name, texts in executed.items()}
     found = [cell for place in range(len(rows)) for cell in _edited(rows, place, known, numbers)]
     if found:
-        yield Finding.warning(
-            str(table), f"cells of runs that were executed were changed by hand: {listed(found, _MOST_NAMED)}", _SETTLE
-        )
+        problem = f"cells of runs that were executed were changed by hand: {listed(found, _MOST_NAMED)}"
+        yield Finding.warning(str(table), problem, _SETTLE)
 
 
 #: The `column` of a deviation that is a removed row: then, unlike with a factor of that name, nothing is there now.
@@ -317,12 +296,7 @@ def _edited(
 def recorded_rows(folder: ExperimentFolder, columns: Sequence[ColumnDescription]) -> tuple[RunTableRows, set[str]]:
     """Read the run table, with the runs that have ended since the file was written; a kill leaves it so.
 
-    Args:
-        folder: of the experiment.
-        columns: of the run table, by its schema.
-
-    Returns:
-        the rows, and the runs whose last attempt came to an end by the journal.
+    `columns` are of its schema. Return the rows, and the runs whose last attempt came to an end by the journal.
 
     Raises:
         StorageError: there is no run table, or it or the journal cannot be read.

@@ -208,6 +208,7 @@ class ClaimFile(TypedDict):
     pid: int
     since: str
     before: NotRequired[list[str]]
+    machine: NotRequired[str]
 
 
 class QueuedFile(TypedDict):

@@ -37,7 +37,6 @@ class RepositoryState:
     """A repository as it is checked out.
 
     Attributes:
-        commit: the hash of the commit.
         branch: the branch; empty where none is checked out.
         origin: where it was cloned from, without a name or a password; empty where that is not known.
         is_dirty: whether tracked files were changed since that commit. Untracked ones do not count: results are often
@@ -56,10 +55,7 @@ class RepositoryState:
 
 
 def git(
-    *words: str,
-    folder: Path | str = ".",
-    timeout: float = _PATIENCE,
-    preexec_fn: Callable[[], object] | None = None,
+    *words: str, folder: Path | str = ".", timeout: float = _PATIENCE, preexec_fn: Callable[[], object] | None = None
 ) -> subprocess.CompletedProcess[bytes]:
     """Execute one command of git to its end; `preexec_fn` as for `subprocess.run`, where this process has no threads.
 

@@ -97,12 +97,9 @@ def require_file(path: Path, root: Path | None = None) -> None:
 
 
 def open_to_read(path: Path, root: Path | None = None, *, limit: int | None = None) -> BufferedReader:
-    """Open a file to read its bytes.
+    """Open a file to read its bytes; `root` is the experiment's folder.
 
-    Args:
-        path: the file.
-        root: the experiment's folder.
-        limit: the most bytes that it may have; None where it is read piece by piece.
+    A file with more bytes than `limit` is refused; it is None where the file is read piece by piece.
 
     Raises:
         MissingFileError: there is none.
@@ -117,11 +114,7 @@ def open_to_read(path: Path, root: Path | None = None, *, limit: int | None = No
 
 
 def sha256_of(path: Path) -> str:
-    """Return the SHA-256 of a file, in hexadecimal digits.
-
-    Raises:
-        StorageError: as `open_to_read`.
-    """
+    """Return the SHA-256 of a file, in hexadecimal digits; raise what `open_to_read` does."""
     with storage_errors(path, "read"), open_to_read(path) as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
@@ -137,11 +130,7 @@ def open_text(path: Path, root: Path | None = None) -> TextIO:
 
 
 def read_bytes(path: Path, root: Path | None = None, *, limit: int = TEXT_LIMIT) -> bytes:
-    """Return the bytes of a file.
-
-    Raises:
-        StorageError: as `open_to_read`.
-    """
+    """Return the bytes of a file; raise what `open_to_read` does."""
     with open_to_read(path, root, limit=limit) as file, storage_errors(path, "read"):
         size = os.fstat(file.fileno()).st_size
         content = file.read(size + 1)  # not `limit`, as that much memory would be allocated
@@ -244,11 +233,8 @@ def open_to_fill(path: Path, root: Path | None = None) -> BinaryIO:
 def open_descriptor(path: Path, root: Path | None = None, flags: int = os.O_RDWR | os.O_CREAT, *, mode: int = 0) -> int:
     """Return a descriptor of a file: to lock it, to hand it to a program, or to write into it at a place.
 
-    Args:
-        path: the file.
-        root: the experiment's folder.
-        flags: as `os.open` takes them; with O_CREAT it is made where it is missing.
-        mode: the permissions of a file that is made; 0 for those of the experiment's folder.
+    `flags` are as `os.open` takes them: with O_CREAT, a missing file is made. `root` is the experiment's folder; `mode`
+    has the permissions of a file that is made, 0 for those of that folder.
 
     Raises:
         MissingFileError: there is none, and none was to be made.
@@ -266,13 +252,9 @@ def open_to_write(
     """Write a file beside `path`, flush it to the disk, and rename it over `path` when the block ends.
 
     Where anything fails, the file at `path` is intact and nothing is left beside it. A link at `path` is refused:
-    neither its target nor the link itself is replaced.
-
-    Args:
-        path: the file.
-        root: the experiment's folder.
-        mode: the file's permissions, of which the umask takes its part; 0 for those of the experiment's folder.
-        is_lasting: whether it is flushed, to survive a power failure; many files that can be made again need not be.
+    neither its target nor the link itself is replaced. `mode` has the file's permissions, of which the umask takes its
+    part; 0 for those of the experiment's folder, `root`. It is flushed where it `is_lasting`, to survive a power
+    failure; many files that can be made again need not be.
 
     Raises:
         StorageError: at `path` is something else than a regular file, or it cannot be written.
@@ -334,8 +316,7 @@ def remove(path: Path, root: Path | None = None) -> bool:
 
 def _opened(path: Path, root: Path | None, flags: int, kind: str, buffering: int) -> BinaryIO:
     # By an opener, so that the file has its name, which messages of libraries show.
-    opener = lambda *_: open_descriptor(path, root, flags)  # noqa: E731
-    return cast("BinaryIO", open(path, kind, buffering, opener=opener))
+    return cast("BinaryIO", open(path, kind, buffering, opener=lambda *_: open_descriptor(path, root, flags)))
 
 
 def _open_regular(path: Path, folder: int, name: str, flags: int, mode: int) -> int:
@@ -379,9 +360,8 @@ def _unlink(name: str, folder: int) -> bool:
 
 def _too_large(path: Path, problem: str, limit: int) -> DamagedFileError:
     limits = f"at most {_in_words(limit)} are read"
-    return DamagedFileError(
-        f"{problem}; {limits}", where=str(path), fix="Restore the file from a backup, or remove it."
-    )
+    fix = "Restore the file from a backup, or remove it."
+    return DamagedFileError(f"{problem}; {limits}", where=str(path), fix=fix)
 
 
 def _damaged(path: Path, problem: str) -> DamagedFileError:

@@ -50,6 +50,7 @@ class InputFile:
             that are read.
 
     Example:
+        >>> from pathlib import Path
         >>> InputFile(Path("rover.xml"), (Path("meshes/wheel.stl"),)).path.name
         'rover.xml'
     """
@@ -146,9 +147,7 @@ def copy_kept(folder: Path, target: Path) -> None:
 def let_programs_execute(folder: Path, copies: Path) -> None:
     """Make the copies of executable inputs executable: a config may execute the one beside it.
 
-    Args:
-        folder: the folder of configs, with the index.
-        copies: the folder with the copies, which was just written.
+    `copies` were just written; `folder`, that of configs, has the index.
 
     Raises:
         StorageError: the index cannot be read.
@@ -185,6 +184,7 @@ def input_file(path: str | Path) -> Path:
     A `~` at its beginning stands for the home folder.
 
     Example:
+        >>> from pathlib import Path
         >>> input_file(Path("lab.toml")).as_posix()
         'lab.toml'
     """
@@ -225,10 +225,7 @@ def _copy_of(each: KeptInput, folder: Path) -> Path | None:
 def kept_contents(inputs: Sequence[InputFile], beside: Path, kept: Path) -> dict[Path, bytes]:
     """Return the files to keep for the inputs of an experiment, the index included: contents by path.
 
-    Args:
-        inputs: what it reads.
-        beside: the folder of its config.
-        kept: the folder of configs in the experiment's folder.
+    `beside` is the folder of its config, and `kept` that of configs in the experiment's folder.
 
     Raises:
         StorageError: a file that is there cannot be read.
@@ -366,8 +363,7 @@ def _places(path: Path, members: Sequence[Path], beside: Path) -> tuple[Path, Pa
     base = Path(os.path.commonpath([own, *(member.parent for member in members)]))
     if base.is_relative_to(beside) and beside / INDEX not in members:
         return beside, Path()
-    name = hashlib.sha256(str(base).encode()).hexdigest()[:8]
-    return base, Path(_ELSEWHERE, name)
+    return base, Path(_ELSEWHERE, hashlib.sha256(str(base).encode()).hexdigest()[:8])
 
 
 def _expanded(path: Path) -> Path:

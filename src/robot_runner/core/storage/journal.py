@@ -65,12 +65,8 @@ class Journal:
     """The journal, opened for appending by the one process that executes the experiment.
 
     A torn last line (power failed while it was written) is cut off when the journal is opened. Where the file is
-    removed or replaced while it is open, as by `git stash`, it is put back with all that it held.
-
-    Args:
-        path: the file.
-        successor: returns, in words, what has taken the experiment's place: then a removed journal is not put back
-            there. Empty where nothing has.
+    removed or replaced while it is open, as by `git stash`, it is put back with all that it held. `successor` returns,
+    in words, what has taken the experiment's place: then a removed journal is not put back there.
     """
 
     def __init__(self, path: Path, successor: Callable[[], str] = str) -> None:
@@ -143,11 +139,7 @@ class Journal:
             return "elsewhere"
 
     def close(self) -> None:
-        """Flush to disk and close; closing twice does nothing.
-
-        Raises:
-            StorageError: it cannot be flushed.
-        """
+        """Flush to disk and close, unless it is closed; raise a `StorageError` if it cannot be flushed."""
         if self._descriptor < 0:
             return
         try:
@@ -224,9 +216,8 @@ class Journal:
 def read_journal(path: Path, *, kinds: Collection[str] | None = None) -> Iterator[dict[str, Any]]:
     """Yield the records of a journal, oldest first; a torn last line is left out.
 
-    Args:
-        path: the journal; one that does not exist has no records.
-        kinds: only these; others are not parsed, so that a long journal is read quickly.
+    A missing one has none. With `kinds`, only these are yielded: others are not parsed, so that a long journal is read
+    quickly.
 
     Raises:
         StorageError: it cannot be read, or a line before the last is not a record.
@@ -292,15 +283,13 @@ def last_records(path: Path, *, kinds: Collection[str], within: int = _LAST_BYTE
         StorageError: it cannot be read.
     """
     beginnings = tuple(f'{_BEGINNING}{kind}"'.encode() for kind in kinds)
-    try:
-        with storage_errors(path, "read"), open_to_read(path) as file:
-            beginning = max(0, file.seek(0, os.SEEK_END) - within)
-            file.seek(beginning)
-            if beginning:
-                file.readline()  # the rest of a line
-            lines = [line for line in file if line.startswith(beginnings) and line.endswith(b"}\n")]
-    except MissingFileError:
-        return
+    lines: list[bytes] = []
+    with suppress(MissingFileError), storage_errors(path, "read"), open_to_read(path) as file:
+        beginning = max(0, file.seek(0, os.SEEK_END) - within)
+        file.seek(beginning)
+        if beginning:
+            file.readline()  # the rest of a line
+        lines += (line for line in file if line.startswith(beginnings) and line.endswith(_END))
     for line in lines:
         yield parsed_record(path, line)
 
@@ -326,8 +315,6 @@ def _corrupt(path: Path, line: bytes, reason: str = "") -> StorageError:
     # The line number is computed only for an error.
     lines = chain.from_iterable(map(BytesIO, read_blocks(path)))
     number = next((number for number, each in enumerate(lines, start=1) if each == line), 0)
-    return StorageError(
-        f"this line is not a record of a journal{f': {reason}' if reason else ''}",
-        where=f"{path}:{number}",
-        fix="Restore the file from a backup, or delete the line to go on without it.",
-    )
+    problem = f"this line is not a record of a journal{f': {reason}' if reason else ''}"
+    fix = "Restore the file from a backup, or delete the line to go on without it."
+    return StorageError(problem, where=f"{path}:{number}", fix=fix)

@@ -11,6 +11,7 @@ import json
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from itertools import chain, count
 from pathlib import Path
 from typing import Any
 
@@ -235,8 +236,7 @@ def keep_log(folder: ExperimentFolder, run_id: str) -> bool:
 def keep_unknown_log(folder: ExperimentFolder) -> Path | None:
     """Move away the log of a run that the journal does not know, so that the next run does not append to it.
 
-    Returns:
-        where it is now; None where it is empty.
+    Return where it is now; None where it is empty.
 
     Raises:
         StorageError: it cannot be moved.
@@ -349,12 +349,8 @@ def put_attempt_back(folder: ExperimentFolder, run_id: str, attempt: int) -> boo
 
 def _free(wanted: Path) -> Path:
     # Attempts may be counted from 1 again, after edits of the table: nothing is ever overwritten.
-    number = 1
-    path = wanted
-    while path.exists():
-        number += 1
-        path = wanted.with_name(f"{wanted.name}-{number}")
-    return path
+    others = (wanted.with_name(f"{wanted.name}-{number}") for number in count(2))
+    return next(path for path in chain([wanted], others) if not path.exists())
 
 
 #: The defaults of the XDG Base Directory Specification (0.8).

@@ -123,11 +123,9 @@ class ExperimentLock:
         """
         where = str(self._path.parent)
         if there := journal.moved_to:
-            raise ExecutionError(
-                f"the experiment was moved or renamed while it was executed: its journal is {there}",
-                where=where,
-                fix="Move it back, with what was written here since, and start the experiment again: it resumes.",
-            )
+            problem = f"the experiment was moved or renamed while it was executed: its journal is {there}"
+            fix = "Move it back, with what was written here since, and start the experiment again: it resumes."
+            raise ExecutionError(problem, where=where, fix=fix)
         if self._has_folder:
             return
         problem, fix = REMOVED
@@ -180,11 +178,8 @@ def holder_of(path: Path) -> Holder | None:
 
 def _refusal(path: Path, holder: Holder) -> ExecutionError:
     who = f"process {holder.pid} on {holder.host} since {holder.since}" if holder.pid else "another process"
-    return ExecutionError(
-        f"the experiment is being executed by {who}",
-        where=str(path.parent),
-        fix="Wait until it ends, or stop it with Ctrl-C in its terminal.",
-    )
+    fix = "Wait until it ends, or stop it with Ctrl-C in its terminal."
+    return ExecutionError(f"the experiment is being executed by {who}", where=str(path.parent), fix=fix)
 
 
 #: A question to the operator: the run, and the step, which is empty where the question is whether the run may start.

@@ -13,6 +13,7 @@ import json
 import os
 import stat
 import time
+from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -143,11 +144,7 @@ def try_lock(descriptor: int, kind: int) -> bool:
 
 
 def sign(descriptor: int, signature: Any) -> None:
-    """Write the holder, a dataclass, into a locked file.
-
-    Raises:
-        OSError: the disk is full.
-    """
+    """Write the holder, a dataclass, into a locked file; raise an `OSError` if the disk is full."""
     os.ftruncate(descriptor, 0)
     os.pwrite(descriptor, json.dumps(asdict(signature)).encode(), 0)
 
@@ -161,16 +158,21 @@ def signature_of(descriptor: int, shape: Any) -> dict[str, Any] | None:
     return None if faults_of(said, shape) else {name: said[name] for name in shape.__annotations__ if name in said}
 
 
+def this_boot() -> str:
+    """Return the identifier of this machine's present boot (Linux); elsewhere an empty text."""
+    with suppress(OSError):
+        return Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii").strip()
+    return ""
+
+
 def _try(descriptor: int, kind: int, path: Path) -> bool:
     try:
         return try_lock(descriptor, kind)
     except OSError as error:
         os.close(descriptor)
-        raise StorageError(
-            f"the folder's file system offers no locks: {error.strerror}",
-            where=str(path),
-            fix="Keep the results on a local disk (results_output_path).",
-        ) from error
+        problem = f"the folder's file system offers no locks: {error.strerror}"
+        fix = "Keep the results on a local disk (results_output_path)."
+        raise StorageError(problem, where=str(path), fix=fix) from error
 
 
 def is_at(descriptor: int, path: Path) -> bool:

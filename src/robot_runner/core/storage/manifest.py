@@ -69,8 +69,7 @@ def write_manifest(path: Path, manifest: Mapping[str, Any]) -> None:
         StorageError: the folder cannot be written.
     """
     hidden = {name: value if name in _COMPARED else without_secrets(value) for name, value in manifest.items()}
-    text = json.dumps(finite({"format": FORMAT, **hidden}), indent=2, ensure_ascii=False, default=str) + "\n"
-    replace(path, text)
+    replace(path, json.dumps(finite({"format": FORMAT, **hidden}), indent=2, ensure_ascii=False, default=str) + "\n")
 
 
 def is_damaged(path: Path) -> bool:
@@ -94,9 +93,8 @@ def read_manifest(path: Path) -> dict[str, Any]:
     try:
         manifest: dict[str, Any] = read_declared(path, "manifest", Manifest, newest=FORMAT, fix=_RESTORE)
     except MissingFileError as error:
-        raise StorageError(
-            "there is no experiment here", where=str(path.parent), fix="Name the folder that holds manifest.json."
-        ) from error
+        fix = "Name the folder that holds manifest.json."
+        raise StorageError("there is no experiment here", where=str(path.parent), fix=fix) from error
     return manifest
 
 
@@ -180,8 +178,7 @@ def installed_system_packages(status: Path = _STATUS) -> dict[str, str]:
 def _system_packages(status: Path, _changed: int, _size: int) -> dict[str, str]:
     """Read the database once for all experiments of this process, as long as it stays as it is."""
     found = {}
-    paragraphs = status.read_bytes().split(b"\n\n")
-    for paragraph in paragraphs:
+    for paragraph in status.read_bytes().split(b"\n\n"):
         if _IS_THERE.search(paragraph[:_HEAD]):
             name, version = (_field(paragraph, field) for field in (b"Package", b"Version"))
             if name and version:

@@ -32,7 +32,6 @@ class Registration:
     """A registration that was read.
 
     Attributes:
-        path: the file.
         content: everything in it, the checksum included.
         is_intact: whether the checksum is that of the content.
     """
@@ -74,15 +73,10 @@ def checksum_of(content: Mapping[str, Any]) -> str:
 
 
 def write_registration(path: Path, content: Mapping[str, Any]) -> Registration:
-    """Write a registration with its checksum.
-
-    Raises:
-        StorageError: it cannot be written.
-    """
+    """Write a registration with its checksum; raise a `StorageError` if it cannot be written."""
     plain = json.loads(json.dumps({"format": FORMAT, **content}))
     sealed = {**plain, _SUM: checksum_of(plain)}
-    text = json.dumps(sealed, indent=2, ensure_ascii=False) + "\n"
-    replace(path, text)
+    replace(path, json.dumps(sealed, indent=2, ensure_ascii=False) + "\n")
     return Registration(path, sealed, is_intact=True)
 
 
@@ -123,9 +117,8 @@ _FIX = "Restore the file from where it was deposited, or register again before t
 def differences(registered: Mapping[str, Any], now: Mapping[str, Any]) -> Iterator[str]:
     """Yield in words how a study differs from its registration: design, order, analysis, measures.
 
-    Args:
-        registered: the content of the registration.
-        now: `design`, `seed`, `analysis`, `repeat_until` and `measures` likewise; missing keys are not compared.
+    `registered` is the content of the registration; `now` has `design`, `seed`, `analysis`, `repeat_until` and
+    `measures` likewise. What `now` lacks is not compared.
     """
     if "design" in now:
         yield from _design_differences(registered["design"], now["design"])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -22,7 +23,7 @@ from robot_runner.core.storage.cells import RunStatus
 from robot_runner.core.storage.guarded_files import MissingFileError, open_to_read
 from robot_runner.core.storage.run_table_rows import RunRow, RunTableRows
 from robot_runner.core.storage.system_refusals import storage_error
-from robot_runner.core.storage.table_columns import MARKS, TableLayout
+from robot_runner.core.storage.table_columns import MARKS, TableLayout, headings_in_r
 from robot_runner.core.storage.table_decoders import (
     CellDecoder,
     FactorDecoder,
@@ -112,8 +113,10 @@ def match_headings(cells: Sequence[str], layout: TableLayout, findings: TableFin
 
 
 def _names(trimmed: Sequence[str], layout: TableLayout) -> list[str]:
-    """Return the column of each heading; names of factors and measures must match exactly."""
+    """Return the column of each heading; names of factors and measures must match exactly, or be spelt by R."""
     named = [layout.spelling.name(heading) for heading in trimmed]
+    in_r = dict(zip(headings_in_r(layout.headings), layout.columns, strict=True))
+    named = [name if name in layout.columns or in_r.get(name) in named else in_r.get(name, name) for name in named]
     # A user's column `id` beside a `__run_id` is not the run id.
     taken = {*named, *(_PROGRESS[name] for name in named if name in _EARLIER)}
     names = []
@@ -136,15 +139,8 @@ def read_run_table(path: Path, layout: TableLayout, planned: Sequence[PlannedRun
 
     Columns may be in any order, under the layout's headings (or `ID` and `Status`, as in the paper's Fig. 3), separated
     by commas, semicolons or tabs. Missing columns get defaults: runs are numbered, to do, and without time stamps and
-    measures. Columns that the layout does not have are kept as `extras`.
-
-    Args:
-        path: the file.
-        layout: the expected columns and their types.
-        planned: the plan from which the table may have been made: rows that are as planned refer to it.
-
-    Returns:
-        The rows, with `warnings`.
+    measures. Columns that the layout does not have are kept as `extras`. Rows that are as `planned`, from which the
+    table may have been made, refer to that. Oddities are `warnings` of the rows.
 
     Raises:
         StorageError: it cannot be read, or is not a run table of this layout; `findings` lists all problems.
@@ -167,10 +163,15 @@ def run_table_in(file: TextIO, path: Path, layout: TableLayout, planned: Sequenc
     csv.field_size_limit(max(csv.field_size_limit(), _LONGEST_CELL))
     with garbage_collection_paused():
         starts = iter(partial(file.readline, _HEADINGS_ENOUGH), "")
-        delimiter = delimiter_of(next((start for start in starts if start.strip()), ""), layout)
+        first = next((start for start in starts if start.strip()), "")
+        if re.fullmatch(r'"?sep=.?"?[,;\t]*', first.strip(), re.IGNORECASE):
+            problem = f"the line {first.strip()!r} above the headings is for Excel alone"
+            raise StorageError(
+                problem, where=str(path), fix="Delete this line: other programs read it as the headings."
+            )
+        delimiter = delimiter_of(first, layout)
         file.seek(0)
-        reading = _Reading(layout, TableFindings(path), planned, decimal_comma=delimiter == ";")
-        return reading.read(file, delimiter)
+        return _Reading(layout, TableFindings(path), planned, decimal_comma=delimiter == ";").read(file, delimiter)
 
 
 class _Reading:

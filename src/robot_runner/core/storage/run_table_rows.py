@@ -6,7 +6,7 @@ import hashlib
 import re
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import repeat
 from operator import attrgetter, itemgetter
 from pathlib import Path
@@ -26,12 +26,11 @@ _MARKS = {BATCH: "run.batch", WARM_UP: "run.is_warm_up"}
 _NUMBERED = re.compile(r"r_([1-9][0-9]{0,17})")
 
 
+@dataclass(slots=True, eq=False)
 class RunRow:
     """One row of the run table: a planned run, its status, and its measures.
 
     Attributes:
-        run: the run as planned.
-        status: how far it has come.
         stamps: when its events were emitted, in the order of the layout's `stamps`; None where that is not known.
         measures: its measures, in the order of the layout's `measures`; None where a value is missing.
         kept: texts that are written as they were read, by heading: a user's own columns, and cells of factors that
@@ -39,23 +38,12 @@ class RunRow:
         excluded: why the run is excluded; None where it is not.
     """
 
-    __slots__ = ("excluded", "kept", "measures", "run", "stamps", "status")
-
-    def __init__(
-        self,
-        run: PlannedRun,
-        status: RunStatus,
-        stamps: tuple[str | None, ...],
-        measures: tuple[CellValue, ...],
-        kept: Mapping[str, str] | None = None,
-        excluded: str | None = None,
-    ) -> None:
-        self.run = run
-        self.status = status
-        self.stamps = stamps
-        self.measures = measures
-        self.kept = kept
-        self.excluded = excluded
+    run: PlannedRun
+    status: RunStatus
+    stamps: tuple[str | None, ...]
+    measures: tuple[CellValue, ...]
+    kept: Mapping[str, str] | None = None
+    excluded: str | None = None
 
 
 class RunTableRows:
@@ -78,12 +66,7 @@ class RunTableRows:
     """
 
     def __init__(
-        self,
-        layout: TableLayout,
-        rows: Iterable[RunRow],
-        warnings: Sequence[Finding] = (),
-        *,
-        has_file: bool = False,
+        self, layout: TableLayout, rows: Iterable[RunRow], warnings: Sequence[Finding] = (), *, has_file: bool = False
     ) -> None:
         """Make a table; `rows` have the stamps and measures of `layout`."""
         self.layout = layout
@@ -159,11 +142,7 @@ class RunTableRows:
         return self._places.get(run_id)
 
     def index_of(self, run_id: str) -> int:
-        """Return the place of a run.
-
-        Raises:
-            StorageError: the run table has no such run.
-        """
+        """Return the place of a run; raise a `StorageError` if the run table has no such run."""
         place = self.place_of(run_id)
         if place is None:
             fix = f"Name one from {self.run_id(0)!r} to {self.run_id(len(self) - 1)!r}."
@@ -226,11 +205,8 @@ class RunTableRows:
     ) -> None:
         """Change the row of one run; nothing is changed where this raises.
 
-        Args:
-            run_id: the run.
-            status: how far it has come, where that changed.
-            stamps: when events were emitted (UTC, ISO 8601, as the journal's), by heading.
-            measures: values by heading; None is a missing value.
+        Without a `status`, that stays as it is. Stamps (UTC, ISO 8601, as the journal's) and measures are by heading;
+        None is a missing value.
 
         Raises:
             StorageError: there is no such run or time-stamp column.
@@ -297,9 +273,8 @@ class RunTableRows:
         texts = {column.name: _texts_by_treatment(column) for column in self.layout.factors}
         for start in range(0, len(self), _ROWS_AT_ONCE):
             rows = self._rows[start : start + _ROWS_AT_ONCE]
-            cells: list[Sequence[Any]] = list(
-                zip(*(self._written(name, rows, texts) for name in self._sources), strict=True)
-            )
+            columns = (self._written(name, rows, texts) for name in self._sources)
+            cells: list[Sequence[Any]] = list(zip(*columns, strict=True))
             kept = any(row.kept for row in rows)
             yield [self._with_kept(row, each) for row, each in zip(rows, cells, strict=True)] if kept else cells
 
@@ -313,7 +288,6 @@ class RunTableRows:
         return values
 
     def _with_kept(self, row: RunRow, cells: Sequence[Any]) -> Sequence[Any]:
-        """Return the cells of a row, with its kept texts."""
         kept = row.kept or {}
         return [kept.get(name, cell) for name, cell in zip(self._sources, cells, strict=True)]
 
@@ -371,8 +345,7 @@ def _texts_by_treatment(column: FactorColumn) -> dict[int, str]:
 def write_run_table(path: Path, rows: RunTableRows) -> str:
     """Write the run table beside `path` and rename it; the old file is intact until the new one is on the disk.
 
-    Returns:
-        The SHA-256 of what was written, in hexadecimal digits.
+    Return its SHA-256, in hexadecimal digits.
 
     Raises:
         StorageError: it cannot be written.

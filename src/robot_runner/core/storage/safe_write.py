@@ -18,13 +18,9 @@ def write_beside_and_rename(path: Path, write: Callable[[TextIO], object], root:
     """Write a text file (UTF-8) beside `path`, flush it to the disk, and rename it over `path`.
 
     Where anything fails, the file at `path` is intact and nothing is left beside it. Bytes of file names that are not
-    text are written as escapes.
-
-    Args:
-        path: the file to make or to replace; its folder exists.
-        write: called once with the open file, which does not translate line ends.
-        root: the folder of the experiment to which the file belongs, in which no links are followed. Without it, the
-            user named the file: a symbolic link at `path` stays, and its target is replaced.
+    text are written as escapes. `write` is called once with the open file, which does not translate line ends. `root`
+    is the folder of the experiment to which the file belongs, in which no links are followed. Without it, the user
+    named the file: a symbolic link at `path` stays, and its target is replaced.
 
     Raises:
         StorageError: it cannot be written.

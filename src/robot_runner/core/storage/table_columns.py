@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import Enum
+from itertools import count
 from types import MappingProxyType
 from typing import Any
 
@@ -74,6 +76,39 @@ def spelling_of_headings(headings: Mapping[str, str]) -> TableSpelling:
     """
     is_earlier = headings.get(RUN_ID) == EARLIER_SPELLING.heading(RUN_ID)
     return replace(EARLIER_SPELLING if is_earlier else OWN_SPELLING, headings=headings)
+
+
+#: Words of R's language, which are no names there.
+_WORDS_OF_R = frozenset(
+    {"if", "else", "repeat", "while", "function", "for", "next", "break", "in"}
+    | {"TRUE", "FALSE", "NULL", "Inf", "NaN", "NA"}
+)
+
+
+def headings_in_r(headings: Sequence[str]) -> list[str]:
+    """Return the headings of a file as R's `read.csv` spells them, unless `check.names = FALSE` is said.
+
+    Example:
+        >>> headings_in_r(["Energy (J)", "Energy [J]", "2nd run"])
+        ['Energy..J.', 'Energy..J..1', 'X2nd.run']
+    """
+    spelt = list(map(_name_in_r, headings))
+    given, taken = set(), {*spelt}
+    # As `make.names(unique = TRUE)`: those that stay as they are come first, others with the same name get a number.
+    for place in sorted(range(len(spelt)), key=lambda place: spelt[place] != headings[place]):
+        name = spelt[place]
+        if name in given:
+            spelt[place] = next(each for number in count(1) if (each := f"{name}.{number}") not in taken)
+        given.add(spelt[place])
+        taken.add(spelt[place])
+    return spelt
+
+
+def _name_in_r(heading: str) -> str:
+    dotted = "".join(each if each.isalpha() or each.isdecimal() or each == "_" else "." for each in heading)
+    if not (heading[:1].isalpha() or re.match(r"\.(?!\d)", heading)):
+        return f"X{dotted}"
+    return f"{dotted}." if dotted in _WORDS_OF_R else dotted
 
 
 # The columns of a run table, their order and types.
@@ -153,7 +188,6 @@ class FactorColumn:
     """The column of a factor.
 
     Attributes:
-        name: the heading.
         factor: with whose treatments the cells are matched; None where they are not known (a folder read without its
             config), so that each cell is read by `plain_value`.
         default: the treatment of all runs of a file without the column, which is older than the factor.
@@ -175,12 +209,9 @@ class TableLayout:
     refuse it.
 
     Attributes:
-        factors: the factors' columns.
-        measures: the measures' columns.
         has_repetition: whether there is a column `Repetition` after the factors.
         has_exclusions: whether there is a column `excluded` after the status, as some run was once excluded.
         marks: the columns of `MARKS` that it has, after that.
-        stamps: the events' time-stamp columns.
         extras: columns that a user added; kept as text.
         former_measures: those of `extras` that were measures in earlier executions; a new attempt clears them.
         types: the type of columns in the run table's schema, by name, for cells that could be read in several ways.
@@ -221,13 +252,12 @@ class TableLayout:
         types: Mapping[str, str] | None = None,
         spelling: TableSpelling = OWN_SPELLING,
     ) -> TableLayout:
-        """Return the layout of a design's run table.
-
-        Raises:
-            DesignError: a measure is called like a factor.
-        """
+        """Return the layout of a design's run table; raise a `DesignError` if a measure is called like a factor."""
+        defaults = model.defaults
         return cls(
-            tuple(_factor_column(factor, model.defaults) for factor in model.factors),
+            tuple(
+                FactorColumn(each.name, each, defaults.get(each.name), each.name in defaults) for each in model.factors
+            ),
             tuple(measures),
             has_repetition=model.repetitions > 1,
             stamps=STAMP_COLUMNS if spelling.has_stamps else (),
@@ -289,10 +319,6 @@ def former_measures(schema: Iterable[ColumnDescription], layout: TableLayout) ->
         if column.name not in there
         and (column.role is ColumnRole.MEASURE or (column.role is ColumnRole.EXTRA and column.owner))
     )
-
-
-def _factor_column(factor: Factor, defaults: Mapping[str, Any]) -> FactorColumn:
-    return FactorColumn(factor.name, factor, defaults.get(factor.name), factor.name in defaults)
 
 
 def _marks_of(model: RunTableModel) -> tuple[str, ...]:

@@ -62,11 +62,7 @@ class TableFindings:
         return self._listed(Severity.WARNING)
 
     def raise_errors(self) -> None:
-        """Raise an error with all errors and warnings, if there is an error.
-
-        Raises:
-            StorageError: there is one.
-        """
+        """Raise a `StorageError` with all errors and warnings, if there is an error."""
         if self._found[Severity.ERROR]:
             raise StorageError.of_findings((*self._listed(Severity.ERROR), *self.warnings))
 
@@ -194,20 +190,14 @@ class StatusDecoder:
 
     def read(self, cells: Sequence[str], chunk: RowChunk) -> list[RunStatus]:
         """Return statuses; an unknown word is an error."""
-        for word in dict.fromkeys(cells):
-            if word not in self._known:
-                self._learn(word)
+        new = {word: status_of_word(word) for word in dict.fromkeys(cells) if word not in self._known}
+        self._known |= {word: status or RunStatus.TODO for word, status in new.items()}
+        self._unknown |= {word for word, status in new.items() if status is None}
         for place, word in () if self._unknown.isdisjoint(cells) else enumerate(cells):
             if word in self._unknown:
                 fix = partial(did_you_mean, word, [status.value for status in RunStatus])
                 self._findings.error(f"{word!r} is not a status", fix, line=chunk.lines[place], column=STATUS)
         return list(map(self._known.__getitem__, cells))
-
-    def _learn(self, word: str) -> None:
-        status = status_of_word(word)
-        self._known[word] = status or RunStatus.TODO
-        if status is None:
-            self._unknown.add(word)
 
 
 class FactorDecoder:
@@ -368,6 +358,5 @@ class TextDecoder:
         for place, cell in enumerate(cells) if has_odd else ():
             if cell and not are_stamps([cell]):
                 fix = "Write it as in 2026-01-31T12:00:00.250Z."
-                problem = f"{cell!r} is not a time stamp"
-                self._findings.warning(problem, fix, line=chunk.lines[place], column=self._name)
+                self._findings.warning(f"{cell!r} is not a time stamp", fix, line=chunk.lines[place], column=self._name)
         return cells if all(cells) else [cell or None for cell in cells]

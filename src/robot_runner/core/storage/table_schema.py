@@ -52,8 +52,7 @@ def write_schema(path: Path, fields: Sequence[ColumnDescription]) -> None:
         "primaryKey": [next((field.heading or RUN_ID for field in fields if field.name == RUN_ID), RUN_ID)],
     }
     # The text of a callback's warning may contain a picture.
-    text = json.dumps(with_short_texts(schema), indent=2, ensure_ascii=False) + "\n"
-    replace_file(path, text)
+    replace_file(path, json.dumps(with_short_texts(schema), indent=2, ensure_ascii=False) + "\n")
 
 
 def read_schema(path: Path) -> tuple[ColumnDescription, ...]:
@@ -131,8 +130,7 @@ def _description(path: Path, place: int, field: Mapping[str, Any]) -> ColumnDesc
 
 
 def _no_schema(path: Path, reason: str) -> StorageError:
-    problem = f"the file is not a schema of a run table: {reason}"
-    return StorageError(problem, where=str(path), fix=_SCHEMA_FIX)
+    return StorageError(f"the file is not a schema of a run table: {reason}", where=str(path), fix=_SCHEMA_FIX)
 
 
 # The description of columns: from the table itself, and from what is known of its measures.
@@ -153,7 +151,7 @@ def describe_columns(
 ) -> tuple[ColumnDescription, ...]:
     """Describe each column of a run table for its schema; `known` has facts beyond its values, by heading."""
     recorded = rows.recorded()
-    words = {status: rows.layout.spelling.status_words[status] for status in RunStatus}
+    words = dict.fromkeys(map(rows.layout.spelling.status_words.__getitem__, RunStatus))
     described = [
         ColumnDescription(
             name=RUN_ID,
@@ -167,7 +165,7 @@ def describe_columns(
             role=ColumnRole.PROGRESS,
             type="string",
             title="Status",
-            description=f"How far the run has come: {', '.join(dict.fromkeys(words.values()))}.",
+            description=f"How far the run has come: {', '.join(words)}.",
         ),
         *(EXCLUSION for _ in rows.layout.exclusion),
         *(_stamp(name, recorded[name]) for name in rows.layout.stamps),
@@ -201,12 +199,7 @@ def type_of_values(values: Iterable[Any]) -> str:
     return next((name for name, fitting in _FITTING if kinds and kinds <= fitting), "any")
 
 
-_FITTING = (
-    ("boolean", {bool}),
-    ("integer", {int}),
-    ("number", {int, float}),
-    ("string", {str}),
-)
+_FITTING = (("boolean", {bool}), ("integer", {int}), ("number", {int, float}), ("string", {str}))
 
 
 def _plain_kind(kind: type) -> type:
