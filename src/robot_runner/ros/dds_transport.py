@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from cyclonedds.core import DDSException
 
 from robot_runner.core.errors import LinkError
+from robot_runner.core.links.commanded_topics import VELOCITIES
 from robot_runner.core.links.robot import Encoding, GraphEndpoint, Message, Qos, RawMessage
 from robot_runner.ros.action_types import is_action_part
 from robot_runner.ros.dds_foreign_services import ForeignServices
@@ -167,7 +168,7 @@ class _Publisher:
         self._offered = writer_profile(qos, self._user_data)
         self._writer = session.writer(self._wire, self._wire_type, self._offered)
         # A message that is published before its readers are discovered does not reach them.
-        session.settle(lambda: bool(matched_subscriptions(self._writer)), awaits_robot=True)
+        session.settle(lambda: bool(matched_subscriptions(self._writer)), awaits_robot=message_type in VELOCITIES)
         try:
             _check_types(session, topic, self._wire_type, self._user_data)
             if qos is not Qos.DEFAULT:  # with that, this may have to stop a robot that is discovered later
@@ -256,7 +257,7 @@ class _Subscription:
         self._before: dict[int, int] = {}
         self._user_data = session.type_hash(message_type)
         self._wire_type = topic_wire_type(session.types.shape(message_type))
-        session.settle(lambda: bool(session.graph.writers(self._wire_topic)), awaits_robot=True)
+        session.settle(lambda: bool(session.graph.writers(self._wire_topic)))
         _check_types(session, topic, self._wire_type, self._user_data)
         self._asked = self._policies()
         self._check_offers()
