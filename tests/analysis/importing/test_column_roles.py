@@ -499,6 +499,19 @@ def test_what_is_said_of_one_column_settles_that_one(tmp_path, said, expected):
 @pytest.mark.parametrize(
     ("text", "said", "expected"),
     [
+        ("Lauf,planner,world,energy_J", {"measures": ("energy_J",)}, "id=Lauf F=planner+world M=energy_J"),
+        ("Lauf,planner,world,energy_J", {"factors": ("planner", "world")}, "id=Lauf F=planner+world M=energy_J"),
+        ("planner,Lauf,world,energy_J", {"ignore": ("planner",)}, "F=world M=Lauf+energy_J"),
+    ],
+)
+def test_the_first_column_counts_the_rows_whatever_is_said_of_others(tmp_path, text, said, expected):
+    both = {"planner": ["a", "b"], "world": ["x", "y"]}
+    assert summary(guessed(tmp_path, made(text, both, 2, Lauf="{one}"), **said)) == expected
+
+
+@pytest.mark.parametrize(
+    ("text", "said", "expected"),
+    [
         (SHAPES["subjects"][0], {"block": "subject"}, "block=subject F=task M=energy"),
         (REPEATED, {"block": "repetition"}, "rep=repetition block=repetition F=task M=energy"),
         (SHAPES["three robots"][0], {"factors": ("robot",)}, "rep=repetition F=robot+task M=energy"),

@@ -152,6 +152,13 @@ def test_a_file_that_is_no_csv_is_refused_as_one_of_means(tmp_path: Path, conten
     assert "--table" not in (refused.value.fix or "")
 
 
+def test_a_heading_that_is_a_name_of_pandas_is_told_as_any_other(tmp_path: Path) -> None:
+    path = tmp_path / "means.csv"
+    path.write_text("Task,self,Energy\nVideo,1,2\nNetwork,2,3\n", encoding="utf-8")
+    with pytest.raises(AnalysisError, match="there is no factor or measure 'self'"):
+        means_file(STUDY, path, {"Energy": 1.0}, ["Energy"])
+
+
 def test_a_pipe_is_no_file_of_means(tmp_path: Path) -> None:
     """It is looked at before it is read, as in `--means <(tail -n 5 means.csv)`."""
     path = tmp_path / "pipe"

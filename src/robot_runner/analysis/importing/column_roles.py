@@ -223,12 +223,13 @@ class _Guessing:
 
         Anywhere else numbers that grow one by one are as often measured, and in a table of numbers alone varied.
         """
-        evidence, said = self._evidence, (self._said.status, self._said.repetition, self._said.block)
-        name, *others = [each for each in self._left() if each not in said] or [""]
-        if not name or _REPETITION.fullmatch(_folded(name)) or not evidence.counts_rows(name):
+        said, evidence, left = self._said, self._evidence, self._left()
+        settled = (said.status, said.repetition, said.block)
+        name = next((each for each in self._table.headings if each not in settled), "")
+        if name not in left or _REPETITION.fullmatch(_folded(name)) or not evidence.counts_rows(name):
             return None
-        texts = [each for each in others if evidence.is_treatment_text(each) and not self._table.has_answers(each)]
-        if not texts or not any(map(evidence.is_surely_measured, others)):
+        texts = [each for each in left if evidence.is_treatment_text(each) and not self._table.has_answers(each)]
+        if not (texts or said.factors) or not (said.measures or any(map(evidence.is_surely_measured, left))):
             return None
         told = f"{name} counts the rows and is taken for the run's id; if it was varied or measured"
         self._notes.append(f"{told}, say --factor or --measure {shlex.quote(name)}")

@@ -75,7 +75,8 @@ def _cells_of(study: Study, path: Path, where: str) -> pd.DataFrame:
         raise AnalysisError(f"{listed(twice)} is there twice", where=where, fix="Rename or delete one column.")
     table = pd.DataFrame([row for row, _ in rows], columns=heading, dtype=str)
     named = [name for name, cells in table.items() if set(cells) <= {*study.factors.get(name, ())}]
-    return table.assign(**_plain_numbers(table.drop(columns=named), where, may_group=dialect.delimiter == ";"))
+    numbers = _plain_numbers(table.drop(columns=named), where, may_group=dialect.delimiter == ";")
+    return pd.DataFrame({name: numbers.get(name, cells) for name, cells in table.items()})
 
 
 def _plain_numbers(table: pd.DataFrame, where: str, *, may_group: bool) -> dict[str, list[str]]:
