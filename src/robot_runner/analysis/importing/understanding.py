@@ -264,7 +264,7 @@ def _table_path(root: Path, name: str | None) -> Path:
         candidates += sorted(each for each in root.glob("*") if not each.name.startswith("~$"))  # those are locks
     for each in candidates:
         if each.suffix.casefold() in _WORKBOOKS and each.is_file():
-            fix = "Save it as CSV with the program that opens it, and name the folder of the CSV file."
+            fix = "Save it as CSV with the program that opens it, or name the table: --table FILE."
             raise StorageError("this is a workbook, and no CSV file", where=str(each), fix=fix)
     if root.is_file():
         fix = f"Name the folder that holds it: {shlex.quote(str(root.parent))} --table {shlex.quote(root.name)}"
