@@ -28,7 +28,7 @@ from tests.cluster.conftest import (
 from tests.process.conftest import kill_together
 
 from robot_runner.cluster.cluster_places import resource_of
-from robot_runner.core.execution.left_systems import goes_on
+from robot_runner.core.execution.going_on import goes_on
 from robot_runner.testing.rosbridge_server import RosbridgeServer
 
 if TYPE_CHECKING:

@@ -23,6 +23,7 @@ from robot_runner.core.execution.left_processes import RunMark, RunsElsewhere, r
 from robot_runner.core.execution.standby_lock import LONGEST
 from robot_runner.core.storage.claim_locks import HeldClaims
 from robot_runner.core.storage.layout import ExperimentFolder
+from robot_runner.core.storage.manifest import describe_host, read_manifest
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -55,6 +56,7 @@ class RobotRunnerConfig(ExperimentConfig):
 BESIDE = "import random\n\n\ndef drawn(context):\n    return random.Random(context.run_seed).random()\n"
 VOLATILE = "_at"
 WORKER = {"address": "tcp://one:1", "name": "one", "worker": "1", "host": "one", "threads": 1, "resources": []}
+WORKER |= {"machine": {"cores": 2}}
 
 
 def _values(folder: Path) -> list[dict[str, str]]:
@@ -98,6 +100,10 @@ def test_two_workers_yield_the_values_of_this_machine_with_and_without_a_shared_
         assert len(content) == len((here / "simulated" / "runs" / name).read_bytes()), name
     assert (there / "runs" / "r_1" / "log.txt").read_text() == "a run begins\n"
     assert {record["place"] for record in journal_of(there, "attempt_started")} == {"one", "two"}
+    machines = read_manifest(there / "manifest.json")["machines"]
+    assert [each["host"] for each in machines] == [describe_host()], "both workers are on this machine"
+    assert sorted(machines[0]["places"]) == ["one", "two"]
+    assert sorted(record["place"] for record in journal_of(there, "machine")) == ["one", "two"]
     assert list(there.glob(".probe*")) == []
     for name in ("one", "two"):
         until(lambda name=name: cluster.left_on(name) == [], f"nothing is left on {name}")
@@ -199,11 +205,12 @@ def test_a_worker_of_another_version_executes_nothing_and_the_difference_is_told
 
 @pytest.fixture
 def measuring(cluster: Cluster, watched: Watched, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Watched:
-    """An experiment that has a worker, whose machine it claims for itself."""
+    """An experiment that has a worker, whose machine, and a robot that is reached from there, it claims for itself."""
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
-    watched.config.write_text(watched.config.read_text().replace("claims = []", 'claims = ["host:localhost"]'))
+    claims = 'claims = ["host:localhost", "robot:domain 7/bob"]'
+    watched.config.write_text(watched.config.read_text().replace("claims = []", claims))
     watched.go()
-    cluster.worker("one", XDG_STATE_HOME=str(tmp_path / "state"))
+    cluster.worker("one", "--resources", "robot:domain_7/bob=1", XDG_STATE_HOME=str(tmp_path / "state"))
     return watched
 
 
@@ -212,7 +219,7 @@ def test_a_run_waits_until_no_other_experiment_has_what_it_claims_of_the_worker_
     cluster: Cluster, measuring: Watched, tmp_path: Path
 ) -> None:
     """As on this machine, where two experiments that measure the computer would measure each other."""
-    with HeldClaims(["host:localhost"], "neighbour", tmp_path / "neighbour"):
+    with HeldClaims(["robot:domain 7"], "neighbour", tmp_path / "neighbour"):
         experiment = cluster.experiment(measuring.config)
         until(lambda: "the experiment 'neighbour'" in str(journal_of(measuring.folder, "finding")), "it is told")
         assert not list(measuring.told.glob("*.begun"))

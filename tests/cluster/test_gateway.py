@@ -6,6 +6,7 @@ import asyncio
 import json
 import os
 from typing import TYPE_CHECKING, Any
+from unittest.mock import AsyncMock, Mock
 
 import pytest
 
@@ -127,32 +128,67 @@ def test_an_attempt_whose_worker_has_not_begun_it_is_over_as_soon_as_it_is_stopp
     assert told.replies() == [("over", over)]
 
 
+MEASURE = {"name": "Energy", "value": 1.0, "owner": "Ina219", "origin": "measured"}
+ENDED = {"because": "", "is_interrupted": False, "seconds": 1.0}
+
+
 @pytest.mark.parametrize(
-    "ended",
+    ("told_of_it", "fault"),
     [
-        {"because": None},
-        {"because": None, "is_interrupted": False, "seconds": 1.0, "files": 1, "bytes": "all", "list": 9},
-        {"because": None, "is_interrupted": False, "seconds": 1.0, "files": 1, "bytes": 1},
-        [],
+        ([[], {"because": ""}], "is_interrupted is missing"),
+        ([[], {**ENDED, "files": 1, "bytes": "all", "list": 9}], "bytes is 'all', not a whole number"),
+        ([[], {**ENDED, "files": 1, "bytes": 1}], "list is missing"),
+        ([[], {**ENDED, "seconds": float("nan")}], "seconds is nan, not a finite number"),
+        ([[], {"lost": None}], "lost is None, not a text"),
+        ([[], 5], "it has no records, or no end"),
+        ([[7], None], "a record has no kind, or no fields"),
+        ([[["event", {"event": "start_run", "at": 5}]], None], "at is 5, not a moment"),
+        ([[["failure", {"problem": None}]], None], "problem is None, not a text"),
+        ([[["measure", {**MEASURE, "value": float("inf")}]], None], "value is inf, not a finite number"),
+        ([[["measure", {**MEASURE, "origin": "guessed"}]], None], "origin is 'guessed', of which there is none"),
+        ("[" * 100_000, "recursion"),
+        (None, "NoneType"),
     ],
-    ids=["without a duration", "a text for a size", "without a list", "no mapping"],
 )
-def test_an_attempt_whose_worker_tells_its_end_wrongly_is_lost(told: _Told, tmp_path: Path, ended: Any) -> None:
-    """Nobody told that it was over: the experiment waited for it without end, as its worker's lease was renewed."""
+def test_an_attempt_whose_worker_tells_something_of_another_shape_is_lost(
+    told: _Told, told_of_it: Any, fault: str
+) -> None:
+    """Nobody told that it was over: the experiment waited without end. Or it broke off, with all other runs."""
 
     async def over() -> None:
-        told.gateway._facts = {**told.gateway._facts, "root": str(tmp_path), "runs": str(tmp_path)}
         member = Member("tcp://one:1", "one", 1, {}, id="1")  # whose lease ended long ago
         told.gateway._client = _Client()  # type: ignore[assignment]
         told.gateway._members[member.address] = member
         order = {"token": "89ab", "worker": "1", "name": "one", "address": member.address, "claims": [], "task": {}}
         told.gateway._begin({**order, "run": "r_1"})
-        message = {"session": "0123", "token": "89ab", "first": 0, "told": json.dumps([[], ended])}
-        told.gateway._take_event((0.0, message))
+        text = told_of_it if isinstance(told_of_it, str | None) else json.dumps(told_of_it)
+        told.gateway._take_event((0.0, {"session": "0123", "token": "89ab", "first": 0, "told": text}))
         for _ in range(20):
             await asyncio.sleep(0)
         ((kind, fields),) = told.replies()
         assert (kind, fields["token"]) == ("over", "89ab")
+        assert fields["lost"].startswith("what worker one told cannot be read: ")
+        assert fault in fields["lost"]
+        assert member.is_lost  # its lease ends, and with it the run, whatever that does
+
+    asyncio.run(over())
+
+
+def test_an_attempt_whose_worker_sends_something_else_than_its_files_is_lost(told: _Told, tmp_path: Path) -> None:
+    async def over() -> None:
+        told.gateway._facts = {**told.gateway._facts, "root": str(tmp_path), "runs": str(tmp_path)}
+        member = Member("tcp://one:1", "one", 1, {}, id="1")
+        attempt = gateway._Attempt({"token": "89ab", "run": "r_1"}, member)
+        told.gateway._client = Mock(run=AsyncMock(return_value={member.address: 5}))
+        await told.gateway._end(attempt, {**ENDED, "files": 1, "bytes": 1, "list": 9})
+        ((kind, fields),) = told.replies()
+        assert kind == "over"
         assert "what it has left could not be brought home" in fields["lost"]
 
     asyncio.run(over())
+
+
+def test_what_others_tell_under_the_same_topic_changes_nothing(told: _Told) -> None:
+    for message in ("text", None, ["89ab"], {}, {"session": "0123", "token": ["89ab"], "told": "5"}):
+        told.gateway._take_event((0.0, message))
+    assert told.replies() == []

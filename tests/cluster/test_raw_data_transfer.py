@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import errno
 import hashlib
 import json
 import os
@@ -106,6 +107,33 @@ def test_a_piece_that_was_changed_on_its_way_is_asked_for_again(tmp_path: Path) 
     worker = Noisy({"raw": b"as it was"})
     assert (_brought(worker, tmp_path) / "raw").read_bytes() == b"as it was"
     assert worker.asked == 3
+
+
+@pytest.mark.parametrize("error", [TimeoutError, ConnectionError])
+def test_a_worker_that_falls_silent_in_the_midst_of_a_file_is_no_lack_of_room(
+    error: type[OSError], tmp_path: Path
+) -> None:
+    """The attempt is lost then, and made again elsewhere; it has not failed."""
+
+    class Leaving(Worker):
+        async def read(self, name: str, offset: int, size: int) -> tuple[bytes, str]:
+            if name:
+                raise error
+            return await super().read(name, offset, size)
+
+    with pytest.raises(error):
+        _brought(Leaving({"raw.bin": b"raw"}), tmp_path)
+
+
+def test_a_file_that_cannot_be_written_here_is_told_with_its_path(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: object) -> int:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(os, "write", full)
+    with pytest.raises(StorageError, match=r"raw\.bin: .*No space left"):
+        _brought(Worker({"raw.bin": b"raw"}), tmp_path)
 
 
 def test_a_file_that_is_not_what_was_announced_is_an_error(tmp_path: Path) -> None:

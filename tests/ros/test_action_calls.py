@@ -11,6 +11,7 @@ import pytest
 from tests.waiting import PATIENCE, wait_until
 
 from robot_runner.core.errors import LinkError
+from robot_runner.core.links import commanded_topics
 from robot_runner.core.links.goals import GoalStatus
 from robot_runner.ros import ros1_actions
 from robot_runner.ros.action_calls import LinkGoals
@@ -54,8 +55,8 @@ def goals_of(dialect: Any, check_open: Callable[[str], None] = lambda _: None) -
     return LinkGoals(dialect, wait, check_open)
 
 
-def send(goals: LinkGoals) -> SentGoal:
-    return goals.send("/count", COUNT, {}, lambda _: None, 1.0)
+def send(goals: LinkGoals, graph: str | None = None) -> SentGoal:
+    return goals.send("/count", COUNT, {}, lambda _: None, 1.0, graph)
 
 
 def test_two_threads_that_send_the_first_goal_of_an_action_share_its_client() -> None:
@@ -72,6 +73,24 @@ def test_two_threads_that_send_the_first_goal_of_an_action_share_its_client() ->
     assert [client.is_open for client in dialect.clients if not client.sent] == [False]
     goals.close()
     assert not any(client.is_open for client in dialect.clients)
+
+
+def test_no_goal_is_sent_until_whoever_stands_by_knows_of_the_action(monkeypatch: pytest.MonkeyPatch) -> None:
+    dialect, told = Dialect(), []
+    goals = goals_of(dialect)
+
+    def refuse(commanded: Any) -> None:
+        raise OSError("no space left on device")
+
+    monkeypatch.setattr(commanded_topics, "_listeners", [refuse])
+    for _ in range(2):  # as in a mission that goes on whatever is raised
+        with pytest.raises(OSError, match="no space left"):
+            send(goals, graph="dds:domain=7")
+    assert not dialect.clients[0].sent
+    monkeypatch.setattr(commanded_topics, "_listeners", [lambda each: told.append(each.topic)])
+    for _ in range(2):
+        send(goals, graph="dds:domain=7")
+    assert (told, len(dialect.clients[0].sent)) == (["/count"], 2)
 
 
 def test_a_client_that_is_found_after_the_link_was_closed_is_left() -> None:

@@ -94,6 +94,15 @@ def test_no_robot_is_commanded_until_whoever_stands_by_knows_of_it(link, transpo
     assert (told, len(transport.published)) == (["/alice/cmd_vel"], 2)
 
 
+def test_a_robot_that_others_have_claimed_is_not_told_to_stand_still(link, transport, monkeypatch):
+    """Their run would have measured a stop that it had not commanded."""
+    monkeypatch.setattr(commanded_topics, "claim_commanded", fails(LinkError("bob is in use", where="open_robot")))
+    with pytest.raises(LinkError, match="bob is in use"):
+        link.publish("/bob/cmd_vel", TWIST, {"linear": {"x": 0.2}})
+    link.close()
+    assert transport.published == []
+
+
 def test_every_robot_is_told_before_anybody_waits_for_one_that_is_out_of_reach(link, transport):
     for robot in ("alice", "bob"):
         link.publish(f"/{robot}/cmd_vel", TWIST, {"linear": {"x": 0.2}})

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import queue
+import subprocess
+import sys
 import threading
 import time
 from contextlib import ExitStack
@@ -17,6 +19,8 @@ from tests.waiting import PATIENCE, wait_until
 from robot_runner.core.errors import LinkError
 from robot_runner.core.events.context import SystemClock
 from robot_runner.core.events.early_end import fails_run
+from robot_runner.core.links import commanded_topics
+from robot_runner.core.links.commanded_topics import keep_commanding_zero
 from robot_runner.core.links.graph_names import GraphNeed
 from robot_runner.core.links.robot import Qos
 from robot_runner.core.links.robot_name import RobotName
@@ -85,18 +89,80 @@ def test_a_node_that_is_no_link_hears_is_heard_and_answers(other, link):
 
 
 @pytest.mark.long
-def test_a_robot_that_is_discovered_late_is_sent_the_first_command(link, monkeypatch):
-    """As one of Fast DDS on an interface without multicast: it announces itself every 3 s."""
+@pytest.mark.parametrize("others", ["nobody", "a node", "a listener of ours"])
+def test_a_robot_that_is_discovered_late_is_sent_the_first_command(link, monkeypatch, others):
+    """As one of Fast DDS on an interface without multicast: each announces itself every 3 s, in its own time."""
     monkeypatch.setattr(dds_session, "SETTLING", 0.1)
-    monkeypatch.setattr(dds_session, "FINDING", PATIENCE)
     domain, heard = {"domain": str(claim_domain()), "distro": "jazzy"}, []
     mine = link(**domain)
+    if others != "nobody":  # such as a recorder, and the watch for others that command the robot
+        topic, listener = ("odom", link(**domain)) if others == "a node" else ("cmd_vel", mine)
+        listener.subscribe(topic, TWIST, lambda _: None)
+        wait_until(lambda: mine.subscribers(topic))
+    monkeypatch.setattr(dds_session, "FINDING", PATIENCE)
     publishing = threading.Thread(target=mine.publish, args=("cmd_vel", TWIST, {"linear": {"x": 0.25}}))
     publishing.start()
     publishing.join(10 * dds_session.SETTLING)
+    assert publishing.is_alive(), "it is published before there is a robot"
     link(**domain).subscribe("cmd_vel", TWIST, heard.append)
     publishing.join(PATIENCE)
     assert wait_until(lambda: heard)[0]["linear"]["x"] == 0.25
+
+
+@pytest.mark.long
+def test_a_topic_is_reached_only_where_every_subscriber_is_connected(link, monkeypatch):
+    mine, heard = link(), []
+    for _ in range(2):
+        link().subscribe("cmd_vel", TWIST, heard.append)
+    wait_until(lambda: mine.advertise("cmd_vel", TWIST))
+    connected = dds_transport.matched_subscriptions
+    monkeypatch.setattr(dds_transport, "matched_subscriptions", lambda writer: connected(writer)[:1])
+    assert not mine.advertise("cmd_vel", TWIST)
+
+
+@pytest.mark.long
+def test_a_robot_that_is_gone_holds_up_the_stop_of_no_other(link, monkeypatch):
+    monkeypatch.setattr(dds_session, "SETTLING", 0.1)
+    monkeypatch.setattr(dds_session, "FINDING", PATIENCE)
+    monkeypatch.setattr(commanded_topics, "_TELLING", 0.2)
+    monkeypatch.setattr(commanded_topics, "_REACHING", 0.5)
+    domain, heard = {"domain": str(claim_domain()), "distro": "jazzy"}, []
+    link(**domain).subscribe("bob/cmd_vel", TWIST, heard.append)
+    robots = [("/alice/cmd_vel", TWIST), ("/bob/cmd_vel", TWIST)]
+    stopping = threading.Thread(target=keep_commanding_zero, args=(link(**domain), robots))
+    stopping.start()
+    wait_until(lambda: heard, "it waits for alice", seconds=PATIENCE / 2)
+    stopping.join(PATIENCE)
+
+
+_FORKED = """
+import os, sys
+from robot_runner.core.errors import LinkError
+from robot_runner.core.events.context import SystemClock
+from robot_runner.ros.link_opening import open_dds_link
+link = open_dds_link({"domain": sys.argv[1]}, SystemClock())
+if not (pid := os.fork()):
+    try:
+        open_dds_link({"domain": sys.argv[1]}, SystemClock())
+    except LinkError as error:
+        print(error, flush=True)
+    os._exit(0)
+os.waitpid(pid, 0)
+link.close()
+if not (pid := os.fork()):
+    open_dds_link({"domain": sys.argv[1]}, SystemClock()).close()
+    print("joined", flush=True)
+    os._exit(0)
+os.waitpid(pid, 0)
+"""
+
+
+@pytest.mark.long
+def test_a_run_that_was_forked_beside_an_open_link_is_told_so_instead_of_waiting_for_ever():
+    command = [sys.executable, "-W", "ignore", "-c", _FORKED, str(DOMAIN)]
+    told = subprocess.run(command, check=True, capture_output=True, text=True, timeout=PATIENCE).stdout.splitlines()
+    assert "a link over dds was open as this process was forked" in told[0]
+    assert told[-1] == "joined"
 
 
 @pytest.mark.long

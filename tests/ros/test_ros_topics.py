@@ -119,6 +119,15 @@ def test_a_topic_that_is_only_subscribed_and_has_no_type_yet_is_one_that_nobody_
     assert "topic scan: the topic is not published within 0.5 s" in context.broker.findings[0].problem
 
 
+def test_of_a_silent_topic_beside_one_that_is_heard_no_value_is_said_to_have_a_wrong_name(measure):
+    """What was lost is computed, too, and was taken for a slip where it is not asked for."""
+    context = measure(RosTopics({"odom": 20.0, "scan": None}))
+    assert context.measures["OdomRate"] == pytest.approx(20.0, rel=0.01)
+    (finding,) = context.broker.findings
+    assert "scan" in finding.problem
+    assert "is no measure" not in finding.problem
+
+
 def test_stamps_of_the_future_yield_no_age_and_a_warning_about_clocks(measure):
     context = measure(RosTopics({"odom": 20.0}), age=-0.5)
     assert context.measures["OdomAge"] is None

@@ -190,3 +190,16 @@ def test_a_request_to_cancel_does_not_wait_for_rosapi_which_may_hang(robot, link
         answers.set()
         cancelling.join(PATIENCE)
     assert goal.status is GoalStatus.CANCELED
+
+
+def test_the_feedback_of_an_action_is_subscribed_as_any_topic_is_whoever_has_sent_the_goal(robot, link):
+    """A server imports the type by the name that it is given, and finds this one only in the module of its action."""
+    robot.offer_action("count", FIBONACCI, count)
+    decoded, raw, topic = [], [], ("/count/_action/feedback", f"{FIBONACCI}_FeedbackMessage")
+    link.subscribe(*topic, lambda message: decoded.append(list(message["feedback"]["sequence"])))
+    link.subscribe_raw(*topic, lambda message: raw.append(message.data))
+    goal = robot.send_goal("count", FIBONACCI, {"order": 1})
+    wait_until(lambda: decoded and raw, "the feedback arrives")
+    goal.cancel()
+    assert decoded[0] == [1]
+    assert raw[0].endswith(b"\1\0\0\0\1\0\0\0")

@@ -8,7 +8,7 @@ import os
 import socket
 import threading
 import time
-from contextlib import closing, suppress
+from contextlib import ExitStack, closing, suppress
 from http.server import BaseHTTPRequestHandler, HTTPServer
 from types import SimpleNamespace
 
@@ -18,7 +18,7 @@ from tests.processor_wait import ProcessorWait
 from robot_runner.core.errors import LinkError
 from robot_runner.core.events.context import SystemClock
 from robot_runner.core.links import commanded_topics
-from robot_runner.core.links.commanded_topics import command_for_certain
+from robot_runner.core.links.commanded_topics import command_for_certain, keep_commanding_zero, zero_first
 from robot_runner.core.links.robot import Encoding, Qos
 from robot_runner.core.links.robot_name import RobotName
 from robot_runner.ros import rosbridge_frames, rosbridge_session, rosbridge_transport, rosbridge_types
@@ -253,6 +253,87 @@ def test_a_robot_is_stopped_and_reached_anew_while_rosapi_hangs(generation, monk
             standby.publish("cmd_vel", "geometry_msgs/Twist", {})
         until(lambda: heard[2:] == [0.0, 0.0])
         server._rosapi.hangs = False
+
+
+@pytest.mark.parametrize("hanging", ["rosapi", "every service"])
+@pytest.mark.parametrize("generation", [1, 2])
+def test_zero_is_commanded_before_anything_is_asked_of_what_may_hang(generation, hanging, monkeypatch):
+    """As by who stands by for a dead run: the first command came after three deadlines of rosapi, 6 s."""
+    driven = [("/cmd_vel", "geometry_msgs/Twist")]
+    with closing(RosbridgeServer(generation=generation)) as server, closing(linked(server)) as robot:
+        heard, asked, call = [], [], server.call
+        robot.subscribe("cmd_vel", "geometry_msgs/Twist", lambda message: heard.append(message["linear"]["x"]))
+
+        def hang(caller, number, service, request):
+            asked.append(service)
+            if hanging == "every service" or service.startswith("/rosapi/"):
+                until(lambda: heard)  # it answers nothing before the robot stands still
+                caller.asking.add(str(number))
+            else:
+                call(caller, number, service, request)
+
+        monkeypatch.setattr(server, "call", hang)
+        for patience in ("ANSWER", "_HANGING"):  # that of rosapi: nobody has it now, as goals are to be cancelled, too
+            monkeypatch.setattr(rosbridge_types, patience, 3600.0)
+        monkeypatch.setattr(rosbridge_types, "_IMPATIENCE", 0.1)
+        monkeypatch.setattr(rosbridge_session, "ANSWER", 0.3 if hanging == "every service" else 5.0)
+        monkeypatch.setattr(commanded_topics, "_TELLING", 0.0)
+        monkeypatch.setattr(rosbridge_transport, "_CONNECTING", 0.0)
+        monkeypatch.setattr(commanded_topics, "_REACHING", 0.0)
+        with zero_first(driven), ExitStack() as left:
+            if hanging == "every service":
+                with pytest.raises(LinkError, match="what listens there does not answer"):
+                    linked(server)
+            else:
+                link = left.enter_context(closing(linked(server)))
+                (doubt,) = keep_commanding_zero(link, driven)
+                assert "who subscribes to it is not known: the graph cannot be listed, because rosapi" in doubt
+        assert asked
+        assert set(heard) == {0.0}
+
+
+@pytest.mark.long
+def test_a_slow_rosapi_that_alone_tells_the_generation_is_waited_for_by_who_stops_a_robot(server, monkeypatch):
+    server._rosapi.nodes[0] = "/bridge"
+    call = server.call
+
+    def hesitate(*asked):
+        time.sleep(0.1)
+        call(*asked)
+
+    monkeypatch.setattr(server, "call", hesitate)
+    monkeypatch.setattr(rosbridge_types, "_IMPATIENCE", 0.01)
+    with zero_first([("/cmd_vel", "geometry_msgs/Twist")]), closing(linked(server)) as link:
+        assert link.encoding is server.encoding
+
+
+@pytest.mark.long
+def test_a_command_goes_out_although_rosapi_begins_to_hang_while_it_confirms_the_publisher(server, monkeypatch):
+    call = server.call
+
+    def hang(caller, number, service, request):
+        if service == "/rosapi/publishers":
+            caller.asking.add(str(number))
+        else:
+            call(caller, number, service, request)
+
+    monkeypatch.setattr(server, "call", hang)
+    with closing(linked(server)) as robot, closing(linked(server)) as link:
+        heard = []
+        robot.subscribe("cmd_vel", "geometry_msgs/Twist", heard.append)
+        monkeypatch.setattr(rosbridge_types, "ANSWER", 0.1)
+        link.publish("cmd_vel", "geometry_msgs/Twist", {})
+        until(lambda: heard)
+
+
+def test_a_connection_that_is_lost_as_zero_is_commanded_first_leaves_no_thread(server, monkeypatch):
+    def lose(session):
+        raise LinkError("the connection is lost", where=session.where)
+
+    monkeypatch.setattr(rosbridge_session.Session, "command_zero_first", lose)
+    with pytest.raises(LinkError, match="the connection is lost"):
+        linked(server)
+    assert not [each for each in threading.enumerate() if each.name == "rosbridge pings"]
 
 
 def test_what_a_server_publishes_is_told_to_be_that_of_all_its_clients():

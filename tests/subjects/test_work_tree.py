@@ -37,7 +37,8 @@ def test_a_copy_has_the_commits_alone_and_can_be_cloned(repository: Repository, 
     assert is_kept(copy, dict.fromkeys(wanted, repository.folder))
     assert said(copy, "rev-list", "--all", "--count") == "2"
     assert all(str(tmp_path).encode() not in path.read_bytes() for path in copy.rglob("*") if path.is_file())
-    subprocess.run(["git", "clone", "--quiet", "--no-checkout", copy, tmp_path / "clone"], check=True)
+    subprocess.run(["git", "clone", "--quiet", copy, tmp_path / "clone"], check=True)
+    assert said(tmp_path / "clone", "rev-parse", "HEAD") == wanted[-1]
     assert said(tmp_path / "clone", "show", f"{wanted[0]}:planner.sh").startswith("#!/bin/sh\necho new")
 
 
@@ -114,6 +115,15 @@ from robot_runner.core.config.treatment_makers import Workshop
 from robot_runner.subjects.work_tree import WorkTree
 WorkTree(sys.argv[1], "a" * 40, "").made("main", Path("log"), Workshop(Path(), lambda: False, print))
 """
+
+
+def test_that_git_is_missing_is_said_with_the_way_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    tree = WorkTree(str(tmp_path / "planner"), "a" * 40, "")
+    monkeypatch.setenv("PATH", str(tmp_path))
+    with pytest.raises(ExecutionError) as refused:
+        tree.made("v1.0", tmp_path / "log", Workshop(tmp_path, lambda: False, print))
+    assert refused.value.problem == "git is not installed"
+    assert refused.value.fix.startswith("Install git")
 
 
 @pytest.mark.long

@@ -46,6 +46,7 @@ class Member:
         resources: those that it was started with, as in `--resources "robot:alice=1"`.
         id: of its part in the experiment: another worker at the same address has another id, and so has this worker
             when it joins again after it was lost.
+        host, machine: the name of its machine, and what that is (`describe_host`).
         renewed: when it was asked last to renew its lease, s on the monotonic clock.
     """
 
@@ -55,6 +56,7 @@ class Member:
     resources: Mapping[str, float]
     id: str = ""
     host: str = ""
+    machine: Mapping[str, Any] = field(default_factory=dict)
     renewed: float = field(default=float("-inf"))
     is_lost: bool = False
     has_joined: bool = False
@@ -66,6 +68,7 @@ class Member:
             "name": self.name,
             "worker": self.id,
             "host": self.host,
+            "machine": dict(self.machine),
             "threads": self.threads,
             "resources": sorted(self.resources),
         }
@@ -118,7 +121,8 @@ async def joined(client: Client, member: Member, facts: Mapping[str, Any]) -> li
         problem = f"Robot Runner cannot be used there: {error}"
         fix = "Install it there as it is here (with the extra `cluster`), and start the worker again."
         return [_plain(Finding.warning(f"worker {member.name}", problem, fix))]
-    member.host = described["host"]
+    # One of an earlier version does not tell what its machine is, and is refused for its version below.
+    member.host, member.machine = described["host"], described.get("machine") or {}
     if found := compared(described_versions(), described["versions"], member.name):
         return [_plain(each) for each in found]
     member.id = os.urandom(8).hex()

@@ -19,7 +19,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import json
 import os
 import sys
 import time
@@ -36,6 +35,7 @@ from robot_runner.cluster.cluster_checks import cluster_settings
 from robot_runner.cluster.piped_process import Replies
 from robot_runner.cluster.raw_data_transfer import TransferError, bring_home
 from robot_runner.cluster.run_host import ended_unbegun
+from robot_runner.cluster.worker_messages import read_message
 from robot_runner.core.errors import StorageError
 from robot_runner.core.execution.left_processes import renew_mark
 from robot_runner.core.execution.run_records import RecordReader
@@ -268,12 +268,16 @@ class Gateway:
         self._forget(attempt)
         self._replies.tell("over", {"token": attempt.token, **ended_unbegun(request)})
 
-    def _take_event(self, event: tuple[float, Mapping[str, Any]]) -> None:
-        message = event[1]
-        attempt = self._attempts.get(message.get("token", ""))
+    def _take_event(self, event: tuple[float, Any]) -> None:
+        message = event[1] if isinstance(event[1], dict) else {}  # any client of the scheduler may tell something here
+        attempt = self._attempts.get(str(message.get("token")))
         if message.get("session") != self._session or attempt is None or attempt.is_ending:
             return
-        records, ended = json.loads(message["told"])
+        try:
+            records, ended = read_message(message["told"])
+        except (LookupError, ValueError) as error:
+            self._lose(attempt.member, f"what worker {attempt.member.name} told cannot be read: {error}")
+            return
         if message["first"] != attempt.received:
             self._lose(attempt.member, f"what worker {attempt.member.name} told did not come whole")
             return
@@ -291,15 +295,16 @@ class Gateway:
                 self._replies.tell("aside", {"worker": attempt.member.id, "because": ended["lost"]})
             await self._tell_lost(attempt, ended["lost"], is_certain=ended.get("is_certain", False))
             return
-        try:
-            over = {name: ended[name] for name in ("because", "is_interrupted", "seconds")}
-            if ended.get("files"):
+        over = {name: ended[name] for name in ("because", "is_interrupted", "seconds")}
+        if ended.get("files"):
+            try:
                 await self._brought_home(attempt, ended)
-        except StorageError as error:
-            over["because"] = f"what it has left could not be brought home: {error}"
-        except (TransferError, LookupError, TypeError, ValueError, *cluster_members.ANSWER) as error:
-            await self._tell_lost(attempt, f"what it has left could not be brought home: {error}")
-            return
+            except StorageError as error:
+                over["because"] = f"what it has left could not be brought home: {error}"
+            except (TransferError, LookupError, TypeError, ValueError, *cluster_members.ANSWER) as error:
+                because = str(error) or type(error).__name__
+                await self._tell_lost(attempt, f"what it has left could not be brought home: {because}")
+                return
         self._tell_over(attempt, over)
 
     async def _brought_home(self, attempt: _Attempt, ended: Mapping[str, Any]) -> None:

@@ -23,6 +23,7 @@ from robot_runner.cluster.raw_data_transfer import open_up
 from robot_runner.cluster.run_host import INPUTS, OUTBOX, ended_unbegun
 from robot_runner.cluster.worker_versions import described_versions
 from robot_runner.core.execution.clock_jumps import now_counting_suspension
+from robot_runner.core.storage.manifest import describe_host
 
 if TYPE_CHECKING:
     from distributed import Worker
@@ -51,8 +52,8 @@ def be_there() -> None:
 
 
 def describe() -> dict[str, Any]:
-    """Return the name of this machine, and its versions."""
-    return {"host": os.uname().nodename, "versions": described_versions()}
+    """Return the name of this machine, what it is, and its versions."""
+    return {"host": os.uname().nodename, "machine": describe_host(), "versions": described_versions()}
 
 
 def join(facts: Mapping[str, Any], dask_worker: Worker) -> dict[str, Any]:

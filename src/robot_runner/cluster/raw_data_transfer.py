@@ -14,6 +14,7 @@ import shutil
 import stat
 from collections.abc import Awaitable, Callable, Iterator, Mapping
 from contextlib import suppress
+from functools import partial
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -98,6 +99,7 @@ async def bring_home(read: Read, ended: Mapping[str, Any], run: Path, root: Path
     Raises:
         TransferError: the worker sends something else than it announced, or a name that leads elsewhere.
         StorageError: it cannot be written here.
+        OSError: the worker is out of reach.
     """
     free = shutil.disk_usage(root).free
     if ended["bytes"] > free:
@@ -111,9 +113,7 @@ async def bring_home(read: Read, ended: Mapping[str, Any], run: Path, root: Path
         make_folder(path.parent, root)
         descriptor = open_descriptor(path, root, os.O_WRONLY | os.O_CREAT | os.O_EXCL)
         try:
-            await _copy(read, name, size, digest, descriptor)
-        except OSError as error:
-            raise StorageError(str(error), where=str(path), fix="Make room, and execute the run again.") from error
+            await _copy(read, name, size, digest, partial(_write, descriptor, path))
         finally:
             os.close(descriptor)
 
@@ -146,17 +146,24 @@ def _parts(name: str) -> tuple[str, ...]:
     return parts
 
 
-async def _copy(read: Read, name: str, size: int, digest: str, descriptor: int) -> None:
+async def _copy(read: Read, name: str, size: int, digest: str, write: Callable[[bytes], None]) -> None:
     whole, offset = hashlib.sha256(), 0
     while offset < size:
         piece = await _piece(read, name, offset, size - offset)
         whole.update(piece)
         offset += len(piece)
-        view = memoryview(piece)
-        while view:
-            view = view[os.write(descriptor, view) :]
+        write(piece)
     if whole.hexdigest() != digest:
         raise TransferError(f"the file {name[:200]!r} has another SHA-256 than the worker reported")
+
+
+def _write(descriptor: int, path: Path, piece: bytes) -> None:
+    view = memoryview(piece)
+    try:
+        while view:
+            view = view[os.write(descriptor, view) :]
+    except OSError as error:
+        raise StorageError(str(error), where=str(path), fix="Make room, and execute the run again.") from error
 
 
 async def _piece(read: Read, name: str, offset: int, left: int) -> bytes:

@@ -79,7 +79,8 @@ class ClusterPlace:
     """One thread of a worker: it executes one run at a time.
 
     Attributes:
-        worker: what is known of it: `address`, `name`, `worker` (its id), `host`, and the names of its `resources`.
+        worker: what is known of it: `address`, `name`, `worker` (its id), `host` and `machine`, and the names of its
+            `resources`.
         slot: 0: a run there has no files here while it is executed.
     """
 
@@ -93,6 +94,7 @@ class ClusterPlace:
         self.name = worker["name"] if worker["threads"] == 1 else f"{worker['name']}/{thread}"
         self._places = places
         self._claims: tuple[str, ...] = ()
+        self._is_machine_told = False
 
     def claimed(self, claims: Collection[str], combination: Mapping[str, object]) -> frozenset[str] | None:
         """Return what a run would hold here; None where this worker does not offer it as a resource of Dask's.
@@ -112,6 +114,9 @@ class ClusterPlace:
         """Order one attempt at a run from the worker."""
         run = RunAtWorker(self, self._places, builder, watch)
         self.is_busy = True
+        if not self._is_machine_told:  # before its first run, and not before each: there may be a million of them
+            self._is_machine_told = True
+            watch.report("machine", {"place": self.name, "host": self.worker["machine"]})
         run.order(task, self._claims)
         return run
 

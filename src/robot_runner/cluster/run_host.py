@@ -31,9 +31,9 @@ from robot_runner.core.config.claims import Claims
 from robot_runner.core.config.experiment import Experiment
 from robot_runner.core.errors import ExecutionError, RobotRunnerError
 from robot_runner.core.execution.clock_jumps import now_counting_suspension
+from robot_runner.core.execution.going_on import goes_on
 from robot_runner.core.execution.interruption import Interruption
 from robot_runner.core.execution.keeper import reap_keepers
-from robot_runner.core.execution.left_systems import goes_on
 from robot_runner.core.execution.local_places import begin_run, load_before_forks
 from robot_runner.core.execution.places import RunInFlight, Watch
 from robot_runner.core.execution.processes import use_no_streams
@@ -42,6 +42,7 @@ from robot_runner.core.execution.task import OutcomeBuilder, RunOutcome, RunTask
 from robot_runner.core.storage.claim_locks import HeldClaims
 from robot_runner.core.storage.guarded_files import make_folder, open_descriptor
 from robot_runner.core.storage.layout import ExperimentFolder
+from robot_runner.core.storage.shared_claims import may_be_one
 from robot_runner.core.treatments import bind
 from robot_runner.core.words import listed
 
@@ -179,9 +180,10 @@ class _Host:
     def _has_claims(self, task: RunTask) -> bool:
         """Claim what the run needs of this machine; report once, if another experiment has it, which one.
 
-        Robots are left out: the orchestrator, which may be on this machine, has claimed them for all runs.
+        Its robot is left out: the orchestrator, which may be on this machine, has claimed that for all runs.
         """
-        claims = [each for each in self._claims.against_others([task.combination]) if not each.startswith("robot:")]
+        claimed, robots = self._claims.against_others([task.combination]), [*self._claims.robots([task.combination])]
+        claims = [each for each in claimed if not any(may_be_one(each, robot) for robot in robots)]
         name = self._experiment.parameters.experiment_name
         try:
             self._held.enter_context(HeldClaims(claims, name, self._experiment.folder.root, goes_on=goes_on))

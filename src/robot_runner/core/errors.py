@@ -9,6 +9,7 @@ RobotRunnerError
 ├── StorageError       a file or folder that cannot be read or written
 ├── LinkError          a robot, host or device that cannot be reached
 │   ├── GoalRejectedError   a goal that an action server does not take
+│   ├── SilentGraphError    a graph that does not tell what is on it
 │   └── CommandError   a command on a host that failed, or did not end in time
 ├── ConditionError     something that cannot be awaited
 │   └── ConditionTimeout   ... or that did not come in time
@@ -147,6 +148,10 @@ class LinkError(RobotRunnerError):
 
 class GoalRejectedError(LinkError):
     """A goal that an action server does not take."""
+
+
+class SilentGraphError(LinkError):
+    """A graph that does not tell what is on it, although its robots may take commands."""
 
 
 class CommandError(LinkError):

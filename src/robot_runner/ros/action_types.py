@@ -12,6 +12,7 @@ from robot_runner.ros.shapes import plain_type
 _ROS2_PARTS = ("_Goal", "_Result", "_Feedback", "_SendGoal", "_GetResult", "_FeedbackMessage")
 _HALVES = ("_Request", "_Response")
 _SEPARATOR = re.compile(r"^[^\S\n]*---[^\S\n]*$", re.MULTILINE)
+_CAPITALISED_WORD, _WORD_AFTER_LETTERS = re.compile("(.)([A-Z][a-z]+)"), re.compile("([a-z0-9])([A-Z])")
 _UUID = "unique_identifier_msgs/UUID goal_id"
 
 
@@ -45,6 +46,21 @@ def is_action_part(name: str) -> bool:
         (True, False)
     """
     return whole_action(name) != name
+
+
+def python_name(part: str) -> str:
+    """Return the name of a part of an action by which Python imports it: where rosidl writes the class.
+
+    The module is that of the action; only some parts can be imported from the package of all actions.
+    Source: `convert_camel_case_to_lower_case_underscore` of rosidl_pycommon.
+
+    Example:
+        >>> python_name("nav2_msgs/NavigateToPose_FeedbackMessage")
+        'nav2_msgs/action._navigate_to_pose/NavigateToPose_FeedbackMessage'
+    """
+    package, _, action = whole_action(part).partition("/")
+    module = _WORD_AFTER_LETTERS.sub(r"\1_\2", _CAPITALISED_WORD.sub(r"\1_\2", action)).lower()
+    return f"{package}/action._{module}/{part.partition('/')[2]}"
 
 
 def action_parts(generation: int, name: str, text: str, *, where: str) -> dict[str, str]:

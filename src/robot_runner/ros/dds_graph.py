@@ -148,12 +148,6 @@ class Graph:
         with self._lock:
             return frozenset(self._participants)
 
-    @property
-    def links(self) -> frozenset[UUID]:
-        """The GUIDs of those that are links of Robot Runner."""
-        with self._lock:
-            return frozenset(self._links)
-
     def silent(self) -> frozenset[UUID]:
         """Return the participants that have announced no reader or writer, except links that are still being opened.
 

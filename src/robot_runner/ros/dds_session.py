@@ -133,8 +133,8 @@ SETTLING = 1.0
 #: This long after opening, they have announced their endpoints and nodes, s: those of Fast DDS do so up to 1.2 s after
 #: they are discovered (measured with 2.9 and 2.14). There is a wait only if some have not.
 _TELLING = 3.0
-#: This long after opening, a robot of Fast DDS has been discovered where there is no multicast, as on a loopback
-#: interface, s: it finds us only when it announces itself again, every 3 s.
+#: This long after opening, the subscribers of a robot of Fast DDS have been discovered where there is no multicast, as
+#: on a loopback interface, s: it finds us only when it announces itself again, every 3 s.
 FINDING = 3.0
 
 #: The distribution of a graph without type hashes, which came with Iron, and that of an empty graph.
@@ -146,12 +146,17 @@ _CONFIGURATION = "CYCLONEDDS_URI"
 
 #: The participants of this process, including past ones: what they announce about a graph is only this process's guess.
 _ours: set[UUID] = set()
+#: The process of each open participant: the library's threads do not survive a fork, and it would wait for them.
+_open_in: list[int] = []
 
 
 class Session:
     """The participant with its reception, its graph and the types of its distribution.
 
     It is opened in the process that uses it: threads of DDS do not survive a fork.
+
+    Raises:
+        LinkError: the domain cannot be joined, or the process that has forked this one had joined one.
     """
 
     def __init__(self, settings: DdsSettings) -> None:
@@ -161,6 +166,8 @@ class Session:
         self.is_closed = False
         self._joined = self._opened = time.monotonic()
         self._participant = _joined(settings)
+        self._process = os.getpid()
+        _open_in.append(self._process)
         self.guid: Any = self._participant.guid
         self._own: set[UUID] = set()
         self._tellers: Callable[[], set[UUID]] = set
@@ -217,11 +224,11 @@ class Session:
     def settle(self, is_so: Callable[[], bool], *, awaits_robot: bool = False) -> bool:
         """Wait until `is_so` holds, at most as long as the discovery of the graph takes.
 
-        With `awaits_robot`, an empty graph is not believed at once.
+        With `awaits_robot`, that others are there and silent does not mean that the robot is.
         """
         if not self.graph.wait_for(is_so, max(0.0, self._joined + SETTLING - time.monotonic())):
             if awaits_robot:
-                self.graph.wait_for(lambda: is_so() or not self.is_alone(), self._left(FINDING))
+                self.graph.wait_for(is_so, self._left(FINDING))
             self.graph.wait_for(lambda: is_so() or not self._silent(), self._left(_TELLING))
         return is_so()
 
@@ -233,9 +240,8 @@ class Session:
         return (self.graph.silent() | (tellers - self._tellers())) - self._own
 
     def is_alone(self) -> bool:
-        """Whether there are no other participants on its domain but links that have no node, or have yet to tell."""
-        without_nodes = self.nodes.without_nodes() | (self.graph.links - self._tellers())
-        return not self.graph.participants - self._own - without_nodes
+        """Whether there are no other participants with nodes on its domain."""
+        return not self.graph.participants - self._own - self.nodes.without_nodes()
 
     def loneliness(self) -> str:
         """Return the fix where no other node is on the graph."""
@@ -249,6 +255,7 @@ class Session:
         if self.is_closed:
             return
         self.is_closed = True
+        _open_in.remove(self._process)
         self.reception.close()
         for lane in list(self._receptions.values()):
             lane.close()
@@ -284,6 +291,10 @@ class Session:
 
 
 def _joined(settings: DdsSettings) -> DomainParticipant:
+    if any(process != os.getpid() for process in _open_in):
+        problem = "a link over dds was open as this process was forked, which keeps DDS from working in it"
+        fix = "Close that link before a run begins, or set run_process = RunProcess.SPAWN."
+        raise LinkError(problem, where="robot", fix=fix)
     configuration = settings.cyclone_configuration()
     if configuration is not None:  # the user's settings for Cyclone DDS take precedence over those for ROS
         os.environ.setdefault(_CONFIGURATION, configuration)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from cyclonedds.core import DDSException
 
 from robot_runner.core.errors import LinkError
-from robot_runner.core.links.commanded_topics import VELOCITIES
+from robot_runner.core.links.commanded_topics import VELOCITIES, topics_of_zero_first
 from robot_runner.core.links.robot import Encoding, GraphEndpoint, Message, Qos, RawMessage
 from robot_runner.ros.action_types import is_action_part
 from robot_runner.ros.dds_foreign_services import ForeignServices
@@ -168,7 +168,8 @@ class _Publisher:
         self._offered = writer_profile(qos, self._user_data)
         self._writer = session.writer(self._wire, self._wire_type, self._offered)
         # A message that is published before its readers are discovered does not reach them.
-        session.settle(lambda: bool(matched_subscriptions(self._writer)), awaits_robot=message_type in VELOCITIES)
+        # A stop is repeated until it reaches a robot, and that of another one must not wait for it.
+        session.settle(self._reaches_others, awaits_robot=message_type in VELOCITIES and not topics_of_zero_first())
         try:
             _check_types(session, topic, self._wire_type, self._user_data)
             if qos is not Qos.DEFAULT:  # with that, this may have to stop a robot that is discovered later
@@ -185,10 +186,17 @@ class _Publisher:
             fix = "Publish more slowly, or with a QoS that may drop messages: a subscriber does not keep up."
             raise LinkError(f"the message cannot be published: {error}", where=self._topic, fix=fix) from error
 
+    def _reaches_others(self) -> bool:
+        readers = self._session.graph.readers(self._wire)
+        return any(each.participant != self._session.guid for each in readers) and self._is_matched(readers)
+
+    def _is_matched(self, readers: list[Endpoint]) -> bool:
+        wanted = reachable([policies_of(each.qos) for each in readers], policies_of(self._offered))
+        return len(matched_subscriptions(self._writer)) >= wanted
+
     def reach(self) -> bool:
-        graph, offered = self._session.graph, policies_of(self._offered)
-        wanted = reachable([policies_of(each.qos) for each in graph.readers(self._wire)], offered)
-        is_matched = graph.wait_for(lambda: len(matched_subscriptions(self._writer)) >= wanted, _MATCHING_SECONDS)
+        graph = self._session.graph
+        is_matched = graph.wait_for(partial(self._is_matched, graph.readers(self._wire)), _MATCHING_SECONDS)
         self._check_demands()
         # A reader that is cut off stays matched for seconds, and receives nothing of what is published.
         # Once it counts as gone, no reader is left that has to acknowledge anything.

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 _logger = logging.getLogger(__name__)
 
 _SEND, _CANCEL, _RESULT = "/_action/send_goal", "/_action/cancel_goal", "/_action/get_result"
-_FEEDBACK, STATUS_TOPIC = "/_action/feedback", "/_action/status"
+FEEDBACK_TOPIC, STATUS_TOPIC = "/_action/feedback", "/_action/status"
 _CANCEL_TYPE, STATUS_TYPE = "action_msgs/CancelGoal", "action_msgs/GoalStatusArray"
 #: action_msgs/GoalStatus.
 GOAL_STATES: Mapping[int, GoalStatus] = MappingProxyType(
@@ -111,7 +111,7 @@ class _Client:
             action + STATUS_TOPIC, STATUS_TYPE, self._take_status, qos=None, lane=Lane.GOALS
         )
         self._feedback = transport.subscribe(
-            action + _FEEDBACK, f"{action_type}_FeedbackMessage", self._take_feedback, qos=None, lane=Lane.GOALS
+            action + FEEDBACK_TOPIC, f"{action_type}_FeedbackMessage", self._take_feedback, qos=None, lane=Lane.GOALS
         )
 
     def send(self, goal: Message, sent: SentGoal, timeout: float) -> None:
@@ -208,7 +208,7 @@ class _Served:
         self._server = server
         self._open = ExitStack()
         try:
-            self._feedback = transport.advertise(action + _FEEDBACK, f"{action_type}_FeedbackMessage", Qos.DEFAULT)
+            self._feedback = transport.advertise(action + FEEDBACK_TOPIC, f"{action_type}_FeedbackMessage", Qos.DEFAULT)
             self._open.callback(self._feedback.close)
             self._status = transport.advertise(action + STATUS_TOPIC, STATUS_TYPE, Qos.TRANSIENT_LOCAL)
             self._open.callback(self._status.close)

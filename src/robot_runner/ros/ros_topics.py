@@ -124,7 +124,7 @@ class RosTopics(TopicProfiler):
             self._report(context, window)
         origin = Origin.SIMULATED if self._is_simulated else Origin.MEASURED
         heard = [] if self._sampled is None or window is None else self._heard_in(window)
-        publish_measures(context, self.measures, lambda part: _values(heard, part), origin=origin)
+        publish_measures(context, self.measures, lambda part: _values(heard, part, self._kinds), origin=origin)
 
     def _heard_in(self, window: Window) -> list[ReceivedTopic]:
         """Return the topics with messages in a window, reduced to these."""
@@ -185,9 +185,9 @@ _KINDS: Mapping[str, tuple[str, str, Over | None]] = {
 }
 
 
-def _values(heard: Iterable[ReceivedTopic], window: Window) -> dict[str, float | None]:
+def _values(heard: Iterable[ReceivedTopic], window: Window, kinds: Iterable[str]) -> dict[str, float | None]:
     values = ((received.label, received.over(window).values(window)) for received in heard)
-    return {label + kind: value for label, own in values for kind, value in own.items()}
+    return {label + kind: own[kind] for label, own in values for kind in kinds}
 
 
 def _measures(topic: str, label: str, kinds: Iterable[str]) -> Iterator[Measure]:

@@ -15,6 +15,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import LinkError
+from robot_runner.core.links.commanded_topics import topics_of_zero_first
 from robot_runner.ros.graph_transport import link_closed, service_timeout
 from robot_runner.ros.own_thread import OwnThread
 from robot_runner.ros.rosbridge_frames import LARGEST_FRAME, FrameReader, as_json, connect, deliver_late, send_errors
@@ -138,6 +139,15 @@ class Session:
             self._lose(str(error))
             raise (self._lost or self._loss(str(error))) from error
 
+    def command_zero_first(self) -> None:
+        """Command zero where `zero_first` says so, in operations that servers of both generations take.
+
+        A server may take them although it answers nothing: its services, and rosapi, are handled by other threads.
+        """
+        for topic, message_type in topics_of_zero_first():
+            self.send({"op": "advertise", "id": self.fresh_id("advertise"), "topic": topic, "type": message_type})
+            self.send({"op": "publish", "topic": topic, "msg": {}})
+
     def flush(self, *, where: str) -> None:
         """Return when the server has handled all earlier operations; raise a `LinkError` if it does not in time."""
         self.call(self.barrier, {}, timeout=ANSWER, where=where)
@@ -221,15 +231,21 @@ class Session:
                 thread.join(ANSWER)
 
     def _authenticate(self, address: RosbridgeAddress) -> None:
-        """Authenticate by rosauth if the address names a secret; a server that refuses it closes the connection."""
+        """Authenticate by rosauth if the address names a secret; a server that refuses it closes the connection.
+
+        A robot that is to be stopped is stopped before any answer is awaited.
+        """
         operation = address.security.authentication(socket.gethostname(), address.host)
-        if operation is None:
-            return
-        self.send(operation)
         try:
-            self.flush(where=self.where)
+            if operation is not None:
+                self.send(operation)
+            self.command_zero_first()
+            if operation is not None:
+                self.flush(where=self.where)
         except LinkError as error:
             self.close()
+            if operation is None:
+                raise
             problem = f"the rosbridge does not take our authentication by rosauth: {error.problem}"
             fix = "See that the secret is the one of rosauth's file on the robot, and that both clocks agree to 5 s."
             raise LinkError(problem, where=self.where, fix=fix) from error

@@ -106,6 +106,7 @@ class RosbridgeTransport:
             known = self._publishers.get(topic)
             if known is not None and known.message_type == message_type and (known.is_latched or not is_latched):
                 return known
+            self._session.command_zero_first()  # asking rosapi may take long
             check_type(topic, message_type, self._told_type(topic))
             if known is not None:
                 known.close()
@@ -304,6 +305,7 @@ class _Publisher:
 
     def reach(self) -> bool:
         """Whether the server has published the topic for so long that it is connected: it does not tell."""
+        self._session.flush(where=self._topic)
         return time.monotonic() - self._since >= _CONNECTING
 
     def is_heard(self) -> bool:

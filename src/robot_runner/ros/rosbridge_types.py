@@ -12,8 +12,10 @@ import time
 from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from robot_runner.core.errors import LinkError
+from robot_runner.core.errors import LinkError, SilentGraphError
+from robot_runner.core.links.commanded_topics import is_zero_first
 from robot_runner.core.links.robot import Encoding, GraphEndpoint
+from robot_runner.ros.action_types import is_action_part, python_name
 from robot_runner.ros.graph_transport import until
 from robot_runner.ros.rosbridge_callers import Callers
 from robot_runner.ros.rosbridge_session import ANSWER, Reply, Session
@@ -31,8 +33,8 @@ _CONFIRMATION = 2.0
 
 #: How the name of a rosbridge server's node begins, whatever its generation.
 _SERVER = "rosbridge"
-#: How long rosapi may take, s, for so many seconds after it has left a question unanswered: a robot must not be kept
-#: waiting for it, and one that was only busy is to be believed again.
+#: How long rosapi may take, s, for so many seconds after it has left a question unanswered, or where a robot is to be
+#: stopped: the robot must not be kept waiting for it, and one that was only busy is to be believed again.
 _IMPATIENCE, _HANGING = 0.5, 10.0
 #: What a rosapi of ROS 2 returns in place of a definition whose file it does not find.
 _UNTOLD = "# failed to get full definition"
@@ -42,13 +44,13 @@ class Rosapi:
     """Asks rosapi, the node beside a rosbridge, over `callers`, as it may hang; the server itself over the session.
 
     Where rosapi does not answer, `told` and what lists the graph (`topics`, `services`, `nodes`, `endpoints`,
-    `action_servers`) raise a `LinkError`; what else it cannot answer is None or empty.
+    `action_servers`) raise a `SilentGraphError`; what else it cannot answer is None or empty.
     """
 
     def __init__(self, session: Session, callers: Callers) -> None:
         self._session = session
         self._callers = callers
-        self._hung_at = -math.inf
+        self._hung_at = time.monotonic() if is_zero_first() else -math.inf
         self._probes = itertools.count(1)
 
     def version(self, address: RosbridgeAddress) -> tuple[int, str | None]:
@@ -65,6 +67,8 @@ class Rosapi:
             return address.generation, address.distro
         if seen == 1:  # its rosapi does not report the distribution
             return 1, None
+        if seen is None:  # nobody else tells
+            self._hung_at = -math.inf
         told = self._ask("get_ros_version")
         if told.is_good and isinstance(told.values, dict):
             return int(told.values.get("version", 2)), str(told.values.get("distro") or "") or None
@@ -152,9 +156,11 @@ class Rosapi:
         self._confirm(service, wanted, "the service", lambda: self.service_type(service) == wanted)
 
     def _confirm(self, name: str, type_name: str, what: str, is_there: Callable[[], bool]) -> None:
-        if not self._ask("get_time").is_good:
+        try:
+            is_confirmed = not self._ask("get_time").is_good or until(is_there, _CONFIRMATION)
+        except SilentGraphError:  # it hangs by now
             return
-        if not until(is_there, _CONFIRMATION):
+        if not is_confirmed:
             package = type_name.partition("/")[0]
             problem = f"the rosbridge server does not take {what} of type {type_name}"
             fix = f"Source a workspace with the package {package!r} where the server is started, or look at its log."
@@ -194,7 +200,7 @@ class Rosapi:
         if not answer.is_good or not isinstance(answer.values, dict):
             problem = f"the graph cannot be listed, because rosapi does not answer: {answer.values}"
             fix = "Start rosapi beside the rosbridge server, as the server's own launch file does."
-            raise LinkError(problem, where=self._session.where, fix=fix)
+            raise SilentGraphError(problem, where=self._session.where, fix=fix)
         return answer.values
 
     def _ask(self, question: str, values: Mapping[str, Any] | None = None) -> Reply:
@@ -271,6 +277,8 @@ class RobotTypes:
     def wire_name(self, type_name: str, kind: str = "msg") -> str:
         """Return a type's name as the robot's generation spells it; `kind` is `msg` or `srv`."""
         name = plain_type(type_name)
+        if self.generation != 1 and is_action_part(name):
+            return python_name(name)  # a server imports the type by the name that it is given
         return name if self.generation == 1 else name.replace("/", f"/{kind}/", 1)
 
     def is_known_here(self, message_type: str) -> bool:

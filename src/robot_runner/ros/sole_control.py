@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import ExitStack
 from functools import partial
@@ -15,6 +16,7 @@ from robot_runner.core.links.graph_names import full_name
 from robot_runner.core.links.robot import GraphEndpoint, GraphListing, Message, RobotLink
 from robot_runner.core.words import enumerated
 from robot_runner.ros.sent_commands import is_from_here, watched
+from robot_runner.ros.turtlebot3.odometry import ODOMETRY
 from robot_runner.ros.watchdog import TWIST, planar, velocity_of
 
 #: How often the publishers of the pose are looked up, s: a look is a question to the ROS master or to rosapi, which
@@ -151,11 +153,27 @@ def subscriber_type_findings(link: GraphListing, topic: str, types: Collection[s
 
 
 def rival_findings(link: GraphListing, topic: str, where: str) -> Iterator[Finding]:
-    """Yield the warning that others could command the robot on a topic; our own watchdog only stops it."""
+    """Yield warnings that others could command the robot on a topic, or that it commands several robots.
+
+    Our own watchdog only stops it. Many nodes subscribe commands without being a robot, such as recorders: robots are
+    those that publish an odometry, and subscribe none as a filter does; where there are none, those that have the same
+    name in several namespaces.
+    """
     rivals = [each for each in _others(link.publishers(topic)) if each.node.rpartition("/")[2] != _WATCHDOG]
     if rivals:
         problem = f"{named(rivals)} could command the robot, too, on {topic!r}"
         yield Finding.warning(where, problem, "End it: once it commands anything, the run fails.")
+    listening = {each.node for each in _others(link.subscribers(topic)) if each.node}
+    if len(listening) < 2:  # noqa: PLR2004 - one robot and one more
+        return
+    poses = [name for name, message_type in link.topics().items() if message_type == ODOMETRY]
+    filters = {each.node for name in poses for each in link.subscribers(name)}
+    moving = {each.node for name in poses for each in link.publishers(name)} - filters
+    names = Counter(node.rpartition("/")[2] for node in listening)
+    several = listening & moving or {node for node in listening if names[node.rpartition("/")[2]] > 1}
+    if len(several) > 1:
+        problem = f"{enumerated(sorted(several))} subscribe {topic!r} as two robots would, and all of them would move"
+        yield Finding.warning(where, problem, "Give each robot a namespace, or remap the commands of the others.")
 
 
 def named(endpoints: Iterable[GraphEndpoint]) -> str:

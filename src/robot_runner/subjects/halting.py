@@ -31,7 +31,13 @@ from robot_runner.core.events.context import SystemClock
 from robot_runner.core.events.resources import Resources
 from robot_runner.core.execution.interruption import STOP_SIGNALS
 from robot_runner.core.execution.processes import FEWER_PROCESSES
-from robot_runner.core.links.commanded_topics import MAY_BE_MOVING, STOP_BY_HAND, VELOCITIES, keep_commanding_zero
+from robot_runner.core.links.commanded_topics import (
+    MAY_BE_MOVING,
+    STOP_BY_HAND,
+    VELOCITIES,
+    keep_commanding_zero,
+    zero_first,
+)
 from robot_runner.core.links.connect import resolved_robot
 from robot_runner.core.links.robot import Advertiser, RobotLink
 from robot_runner.core.storage.guarded_files import read_text
@@ -168,7 +174,7 @@ class Halting:
         Nobody commands the robot any more afterwards.
 
         Raises:
-            PluginError: zero could not be commanded, or the program was out of reach and may command the robot again.
+            PluginError: zero may not have reached it, or the program was out of reach and may command the robot again.
         """
         reason = ""
         for attempt in range(2):
@@ -184,7 +190,7 @@ class Halting:
             if (problem := self._commanded.problem()) is not None:
                 reason = problem
                 break
-        told = f"{MAY_BE_MOVING}: {self._name} has ended, and zero could not be commanded: {reason}"
+        told = f"{MAY_BE_MOVING}: {self._name} has ended, and whether zero has reached its robot is not known: {reason}"
         problems = [told] if reason else []
         remarks = self._start.remarks(may_drive=bool(self._commanded.by_robot()))
         problems += [f"{self._name} {each}" for each in remarks if MAY_BE_MOVING in each]  # it is on another computer
@@ -264,7 +270,7 @@ class _CommandedRobots:
         """Command zero once, wherever that is possible."""
         for robot, topics in self._by_graph().items():
             for topic, message_type in topics:
-                with suppress(Exception):  # `stop` reports what fails
+                with suppress(Exception), zero_first(topics):  # `stop` reports what fails
                     self._link(robot).publish(topic, message_type, {})
 
     def stop(self) -> None:
@@ -280,16 +286,17 @@ class _CommandedRobots:
 
     def _stop(self, robot: str, topics: Sequence[tuple[str, str]]) -> None:
         had_joined = robot in self._links
-        link = self._link(robot)
+        with zero_first(topics):
+            link = self._link(robot)
         try:
-            empty = keep_commanding_zero(link, topics)
+            doubts = keep_commanding_zero(link, topics)
         except LinkError:
             # A graph that the program itself has started ends with it; topics connected before have got their zero.
             if not had_joined or _is_there(link):
                 raise
         else:
-            if empty and not had_joined:
-                raise LinkError("no node subscribes it any more", where=empty[0], fix="See that it stands still.")
+            if doubts and not had_joined:
+                raise LinkError(doubts[0], where=robot, fix="See that it stands still.")
 
     def _link(self, robot: str) -> RobotLink:
         if robot not in self._links:

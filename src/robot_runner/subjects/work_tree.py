@@ -156,7 +156,10 @@ class WorkTree:
         try:
             done = git(*words, folder=folder or self.folder, timeout=_CLONING, preexec_fn=stop_with_parent)
         except (OSError, subprocess.TimeoutExpired) as error:
-            raise ExecutionError(f"git {words[0]} failed: {error}", where=f"revision {name!r}") from error
+            problem, fix = f"git {words[0]} failed: {error}", ""
+            if isinstance(error, FileNotFoundError) and error.filename == "git":
+                problem, fix = "git is not installed", "Install git: it fetches the commits that are compared."
+            raise ExecutionError(problem, where=f"revision {name!r}", fix=fix) from error
         if done.returncode != 0:
             fix = "Try it by hand: git " + without_login(" ".join(words))
             raise ExecutionError(f"git {words[0]} failed: {refusal(done)}", where=f"revision {name!r}", fix=fix)
@@ -293,6 +296,7 @@ def _steps(clones: Mapping[str, Path]) -> list[tuple[str, ...]]:
     return [
         ("init", "-q", "--bare", "--template="),
         *((*fetch, clone.as_uri(), f"{commit}:refs/heads/kept-{commit[:12]}") for commit, clone in clones.items()),
+        ("symbolic-ref", "HEAD", f"refs/heads/kept-{[*clones][-1][:12]}"),  # what a clone checks out
         (*_WHOLE, "--window=0", "--depth=0"),
     ]
 

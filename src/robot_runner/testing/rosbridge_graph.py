@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 from robot_runner.core.errors import LinkError
 from robot_runner.core.links.robot import Message
+from robot_runner.ros.action_types import is_action_part, python_name
 from robot_runner.ros.rosbridge_frames import from_protocol, to_protocol
 from robot_runner.ros.shapes import BYTE_KINDS, UNBOUNDED, Field, Shape, UpTo, completed, plain_type, stamp_of
 
@@ -80,6 +81,17 @@ def _value(field: Field, value: Any, ours: Any) -> Any:
 
 class Refusal(Exception):  # noqa: N818 - what a server says in a status message, which is not an error of the test's
     """A refused operation, with the server's message."""
+
+
+def imported_type(told: str) -> str:
+    """Return the type that a server of ROS 2 imports by this name; a `Refusal` says that it finds none there."""
+    package, short = told.partition("/")[0], told.rpartition("/")[2]
+    name = f"{package}/{short}"
+    if not is_action_part(name):
+        return told
+    if told != python_name(name):
+        raise Refusal(f"Unable to import class {short} from package {package}")
+    return f"{package}/action/{short}"
 
 
 class Client(Protocol):
@@ -198,7 +210,7 @@ class Graph:
         topic = self.topics.get(name)
         if topic is None or not topic.is_there:
             topic = self.topics[name] = ServedTopic(name, type_name)
-        if topic.type_name != type_name:
+        if plain_type(topic.type_name) != plain_type(type_name):  # servers of ROS 2 take both spellings
             tried = f"Tried to register topic {name} with type {type_name}"
             raise Refusal(f"{tried} but it is already established with type {topic.type_name}")
         return topic

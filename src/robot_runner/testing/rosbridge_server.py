@@ -29,6 +29,7 @@ from robot_runner.testing.rosbridge_graph import (
     ServedRosapi,
     ServedService,
     ServedTopic,
+    imported_type,
     received,
     with_typed_arrays,
 )
@@ -144,9 +145,10 @@ class ServedClient:
             self._complain(operation.get("id"), f"{operation['op']}: {error}")
 
     def _advertise(self, operation: dict[str, Any]) -> None:
-        self._server.graph.types.shape(plain_type(operation["type"]))
+        type_name = imported_type(operation["type"])
+        self._server.graph.types.shape(plain_type(type_name))
         is_latched = bool(operation.get("latch", False))
-        self._server.graph.advertise(operation["topic"], operation["type"], self, is_latched=is_latched)
+        self._server.graph.advertise(operation["topic"], type_name, self, is_latched=is_latched)
 
     def _publish(self, operation: dict[str, Any]) -> None:
         name = operation["topic"]
@@ -158,12 +160,13 @@ class ServedClient:
 
     def _subscribe(self, operation: dict[str, Any]) -> None:
         name, asked = operation["topic"], operation.get("compression", "none")
-        if operation.get("type") is not None:
-            self._server.graph.types.shape(plain_type(operation["type"]))
+        type_name = operation.get("type") and imported_type(operation["type"])
+        if type_name is not None:
+            self._server.graph.types.shape(plain_type(type_name))
         self._compressions[name] = asked if asked in self._server.compressions else "none"
         if operation.get("fragment_size"):
             self._fragment_sizes[name] = operation["fragment_size"]
-        self._server.graph.subscribe(name, operation.get("type"), self, str(operation.get("id")))
+        self._server.graph.subscribe(name, type_name, self, str(operation.get("id")))
 
     def _call(self, operation: dict[str, Any]) -> None:
         name, number, request = operation["service"], operation.get("id"), operation.get("args") or {}

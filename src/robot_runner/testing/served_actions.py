@@ -11,7 +11,7 @@ from typing import Any, Protocol
 
 from robot_runner.core.links.goals import GoalStatus
 from robot_runner.ros.action_server import ActionTypes
-from robot_runner.ros.ros2_actions import GOAL_NUMBERS, STATUS_TOPIC, STATUS_TYPE, ros2_action_types
+from robot_runner.ros.ros2_actions import FEEDBACK_TOPIC, GOAL_NUMBERS, STATUS_TOPIC, STATUS_TYPE, ros2_action_types
 from robot_runner.ros.rosbridge_frames import to_protocol
 from robot_runner.ros.shapes import completed, plain_type, stamp_of
 from robot_runner.testing.rosbridge_graph import Graph, Refusal, ServedService, received
@@ -99,6 +99,8 @@ class ServedActions:
         types = ros2_action_types(self._graph.types, kind)
         self.offered[name] = _Action(kind, types, client)
         self._graph.advertise(name + STATUS_TOPIC, _SPELT_STATUS, self, is_latched=True)
+        spelt_feedback = f"{kind.replace('/', '/action/', 1)}_FeedbackMessage"
+        self._graph.advertise(name + FEEDBACK_TOPIC, spelt_feedback, self)
         cancel = ServedService("action_msgs/srv/CancelGoal", self, partial(self._cancel_called, name))
         self._graph.services[name + _CANCEL] = cancel
 
@@ -116,6 +118,7 @@ class ServedActions:
             return
         del self.offered[name], self._graph.services[name + _CANCEL]
         self._graph.unadvertise(name + STATUS_TOPIC, self)
+        self._graph.unadvertise(name + FEEDBACK_TOPIC, self)
 
     def _send(self, operation: Mapping[str, Any], client: _Client) -> None:
         name = operation["action"]
@@ -163,7 +166,10 @@ class ServedActions:
 
     def _feedback(self, operation: Mapping[str, Any], client: _Client) -> None:
         action, goal = self._goal(operation, client)
-        values = to_protocol(action.types.feedback, self._complete(action.types.feedback, operation))
+        feedback = self._complete(action.types.feedback, operation)
+        told = {"goal_id": {"uuid": goal.key}, "feedback": feedback}
+        self._graph.publish(goal.action + FEEDBACK_TOPIC, told, self)
+        values = to_protocol(action.types.feedback, feedback)
         goal.sender.send({"op": "action_feedback", "id": goal.sent_as, "action": goal.action, "values": values})
 
     def _result(self, operation: Mapping[str, Any], client: _Client) -> None:

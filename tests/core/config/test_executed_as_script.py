@@ -55,6 +55,13 @@ def test_a_script_that_executes_its_config_in_another_way_is_told_nothing(tmp_pa
 
 
 @pytest.mark.long
+def test_a_config_that_is_piped_into_python_says_nothing_as_there_is_no_file_to_name(tmp_path: Path) -> None:
+    with written_config(tmp_path).open(encoding="utf-8") as config:
+        done = subprocess.run([sys.executable], stdin=config, capture_output=True, text=True, timeout=60, check=True)
+    assert not done.stderr
+
+
+@pytest.mark.long
 def test_a_program_without_arguments_may_define_a_config(tmp_path: Path) -> None:
     """As one that embeds Python."""
     config = written_config(tmp_path).read_text(encoding="utf-8")

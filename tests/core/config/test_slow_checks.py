@@ -5,6 +5,7 @@ from __future__ import annotations
 import signal
 import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
@@ -58,3 +59,18 @@ def test_a_blocked_alarm_is_not_set_as_it_would_end_the_program_once_it_is_let_t
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, blocked)
     assert set_to == [0]
+
+
+@pytest.mark.timeout(300, method="thread")
+def test_no_alarm_is_left_after_a_quick_check_which_would_end_the_program() -> None:
+    earlier, set_to = signal.getsignal(signal.SIGALRM), []
+    assert asked("Lidar", lambda: set_to.append(signal.getitimer(signal.ITIMER_REAL)[0]) or []) == []
+    assert set_to[0] > 0
+    assert signal.getitimer(signal.ITIMER_REAL)[0] == 0
+    assert signal.getsignal(signal.SIGALRM) is earlier
+
+
+@pytest.mark.timeout(300, method="thread")
+def test_a_check_in_another_thread_which_may_set_no_alarm_is_made_all_the_same() -> None:
+    with ThreadPoolExecutor(1) as executor:
+        assert executor.submit(asked, "Lidar", list).result() == []

@@ -19,6 +19,9 @@ TABLE = """\
 #: A callback that publishes one of them.
 ACCURACY = 'def populate_run_data(self, context): return {"Accuracy": 1}'
 
+#: A decorator as many have it, which calls a method with whatever it is given.
+TIMED = "def timed(method):\n    def waited(*given): return method(*given)\n    return waited"
+
 
 def unpublished(config: Path) -> list[str]:
     found = prepare(config).findings
@@ -62,6 +65,15 @@ def test_it_is_told_with_the_name_of_an_undeclared_one_that_is_published(write_c
         f"launch_mission = print\n{ACCURACY}",
         'populate_run_data = lambda self: found()\ndef stop_run(self, context): context.publish("Accuracy", 1)',
         f'names = ("Accuracy", "Score")\n{ACCURACY}',
+        f"{ACCURACY}\ndef start_run(self, context): Thread(target=shelf.poll, args=(context,)).start()",
+        f"{ACCURACY}\ndef start_run(self, context): shelf.poll(*[context], **{{'to': context}})",
+        f"{ACCURACY}\ndef start_run(self, context): self.before, self.context = None, context",
+        f"{ACCURACY}\ndef start_run(self, context): self.kept = {{'context': context}}",
+        f"{ACCURACY}\ndef start_run(self, context): self.contexts += [context]\ncontexts = []",
+        f"{ACCURACY}\ndef start_run(self, context): shelf.poll(lambda: context)",
+        f"{ACCURACY}\ndef start_run(self, context): self.later = {{'Score': context.publish}}",
+        f"{ACCURACY}\ndef start_run(self, *given): shelf.poll(*given)",
+        f"{ACCURACY}\n{TIMED}\n@timed\ndef start_run(self, context): shelf.poll(context)",
     ],
 )
 def test_nothing_is_told_where_all_are_published_or_the_code_cannot_tell(write_config: Write, body: str) -> None:

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from robot_runner.core.errors import StorageError
+from robot_runner.core.execution.going_on import goes_on
 from robot_runner.core.execution.left_processes import (
     RunMark,
     RunsElsewhere,
@@ -25,7 +26,6 @@ from robot_runner.core.execution.left_processes import (
     renew_mark,
     runs_elsewhere,
 )
-from robot_runner.core.execution.left_systems import goes_on
 from robot_runner.core.execution.standby_lock import await_standby
 from robot_runner.core.storage.layout import ExperimentFolder
 

@@ -9,7 +9,7 @@ import signal
 import subprocess
 import sys
 import time
-from contextlib import closing
+from contextlib import closing, contextmanager
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -17,15 +17,17 @@ import pytest
 from tests.core.execution.conftest import RecordingObserver
 from tests.core.execution.lamp import HEAD, TABLE, made_safe
 
-from robot_runner.core.config import plugin_checks
-from robot_runner.core.config.preparation import prepare_or_refuse
+from robot_runner.cli.main import main
+from robot_runner.core.config import plugin_checks, preparation
+from robot_runner.core.config.preparation import prepare, prepare_or_refuse
 from robot_runner.core.entry_points import EntryPoint
-from robot_runner.core.errors import ExecutionError, LinkError, RobotRunnerError
-from robot_runner.core.execution import standby, systems_state
+from robot_runner.core.errors import ExecutionError, Finding, LinkError, RobotRunnerError
+from robot_runner.core.execution import left_systems, standby, systems_state
+from robot_runner.core.execution.going_on import goes_on
 from robot_runner.core.execution.left_systems import (
-    goes_on,
     may_be_moving,
     robots_left,
+    see_to_it_first,
     see_to_what_is_left,
     see_to_what_others_left,
 )
@@ -40,9 +42,10 @@ from robot_runner.core.storage.claim_locks import HeldClaims
 from robot_runner.core.storage.guarded_files import make_experiment_folder
 from robot_runner.core.storage.journal import Journal
 from robot_runner.core.storage.layout import ExperimentFolder
+from robot_runner.notebook.from_python import run_experiment
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
     from pathlib import Path
 
     from robot_runner.core.config.experiment import Experiment
@@ -80,6 +83,27 @@ def left(experiment: Experiment, **changed: Any) -> dict[str, Any]:
     return described_task(experiment, task) | changed
 
 
+EXECUTING = """
+import sys
+from pathlib import Path
+from robot_runner.core.storage.lock import ExperimentLock
+with ExperimentLock(Path(sys.argv[1])):
+    print("held", flush=True)
+    sys.stdin.read()
+"""
+
+
+@contextmanager
+def executed(experiment: Experiment) -> Iterator[None]:
+    """Have another process hold the experiment's lock."""
+    words = [sys.executable, "-c", EXECUTING, str(experiment.folder.lock)]
+    with subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as executing:
+        assert executing.stdout is not None
+        assert executing.stdout.readline() == "held\n"
+        yield
+        executing.kill()
+
+
 def test_systems_are_made_safe_with_the_treatments_of_the_run_that_was_killed_and_once(experiment: Experiment) -> None:
     SystemsFile(experiment.folder.at_slot(3)).begin(None, left(experiment))
     (said,) = may_be_moving(experiment.folder)
@@ -89,6 +113,72 @@ def test_systems_are_made_safe_with_the_treatments_of_the_run_that_was_killed_an
     assert made_safe(experiment) == "hall hall r_2 None"
     assert see_to_what_is_left(experiment) == []
     assert may_be_moving(experiment.folder) == []
+
+
+CHECKED = """
+    def check(self, circumstances):
+        told = [path.read_text() for path in [HERE / "made_safe"] if path.exists()]
+        (HERE / "at_check").write_text(str(told))
+        return ()
+
+class RobotRunnerConfig(ExperimentConfig):
+"""
+
+
+@pytest.mark.parametrize(
+    "execute",
+    [lambda config: main(["run", str(config)]), run_experiment],
+    ids=["run", "run_experiment"],
+)
+def test_what_is_left_is_seen_to_before_plugins_and_the_robots_graph_are_looked_at(
+    write_config: Callable[..., Path], execute: Callable[[Path], object]
+) -> None:
+    head = HEAD.replace("\nclass RobotRunnerConfig(ExperimentConfig):\n", CHECKED)
+    experiment = prepare_or_refuse(write_config("", head=head, table=TABLE))
+    make_experiment_folder(experiment.folder.root)
+    SystemsFile(experiment.folder.at_slot(3)).begin(None, left(experiment))
+    execute(experiment.config_path)
+    assert experiment.config_path.with_name("at_check").read_text() == "['hall hall r_2 None']"
+
+
+def test_what_could_not_be_made_safe_first_is_told_at_once_and_nothing_is_executed(
+    experiment: Experiment, write_config: Callable[..., Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    SystemsFile(experiment.folder).begin(None, left(experiment), ["Lamp"])
+    config = write_config("", head=HEAD.replace(HEAD.splitlines()[-1].strip(), "plugins = []"), table=TABLE)
+    with monkeypatch.context() as patched:
+        patched.setattr(preparation, "_check_machine", lambda *_: pytest.fail("a person waits for the alarm"))
+        prepared = prepare(config, first=see_to_it_first)
+    assert prepared.experiment is None
+    assert "THE ROBOT MAY BE MOVING" in prepared.findings[0].problem
+    assert prepare(config, first=see_to_it_first).experiment is not None
+
+
+def test_who_interrupts_what_is_seen_to_first_is_told_what_was_done(
+    experiment: Experiment, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    SystemsFile(experiment.folder).begin(None, left(experiment))
+
+    def interrupt(*_: object) -> list[Finding]:
+        signal.raise_signal(signal.SIGINT)
+        return []
+
+    monkeypatch.setattr(left_systems, "see_to_what_others_left", interrupt)
+    done, interrupted = see_to_it_first(experiment)
+    assert "that was done now" in done.problem
+    assert interrupted.is_error
+    assert made_safe(experiment)
+
+
+def test_what_is_left_is_not_seen_to_first_while_another_process_executes_the_experiment(
+    experiment: Experiment,
+) -> None:
+    SystemsFile(experiment.folder).begin(None, left(experiment))
+    with executed(experiment):
+        assert see_to_it_first(experiment) == []
+    assert made_safe(experiment) == ""
+    assert len(see_to_it_first(experiment)) == 1
+    assert made_safe(experiment)
 
 
 @pytest.mark.parametrize(
@@ -304,6 +394,20 @@ def test_systems_of_another_experiment_are_left_to_its_next_execution_and_its_ro
 
 
 CLAIMED = ["robot:rosbridge localhost:1"]
+
+
+def test_what_an_experiment_that_is_being_executed_commands_is_not_stopped_by_who_claims_what_it_had_before(
+    experiment: Experiment, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A run of it had reached this robot by a callback; by now it drives another robot of the same graph."""
+    monkeypatch.setattr(Standby, "begin", lambda *_: pytest.fail("the robot of a run in flight was stopped"))
+    file = SystemsFile(experiment.folder)
+    file.begin("dds:domain=7", left(experiment))
+    file.add_commanded(Commanded("/carol/cmd_vel", "geometry_msgs/Twist"))
+    other = replace(experiment, folder=ExperimentFolder(experiment.folder.root.parent / "other"))
+    with executed(experiment):
+        assert see_to_what_others_left(other, [experiment.folder.root], ["robot:domain 7/bob"]) == []
+    assert len(may_be_moving(experiment.folder)) == 1, "its own next execution is still to see to it"
 
 
 def test_of_a_killed_experiment_whose_folder_is_gone_the_robot_is_stopped_once_and_its_systems_are_named(

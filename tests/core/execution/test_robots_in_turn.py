@@ -136,9 +136,13 @@ def test_runs_that_are_executed_again_take_turns_again(execute: Callable[..., An
 def test_a_robot_that_fails_again_and_again_is_set_aside_and_its_runs_go_to_the_other(
     execute: Callable[..., Any],
 ) -> None:
-    executed = execute(head=HEAD, table=TABLE, broken="bob")
+    executed = execute("attempts = 2", head=HEAD, table=TABLE, broken="bob")
     assert [row["status"] for row in executed.table] == ["Done"] * 8
     assert {row["Robot"] for row in executed.table} == {"alice"}
+    began = executed.journal("attempt_started")
+    of_bobs = {record["run"] for record in began if record["place"] == "bob"}
+    tried = {tuple(each["place"] for each in began if each["run"] == run) for run in of_bobs}
+    assert (len(of_bobs), tried) == (3, {("bob", "bob", "alice")}), "all attempts are made where the run began"
     (told,) = [str(finding) for finding in executed.finished.findings if finding.where == "robot bob"]
     assert "3 runs in a row failed on it" in told
     assert ".. It takes part" not in told

@@ -270,6 +270,8 @@ def test_the_treatment_of_a_run_still_to_do_is_changed_on_record_and_accepted_on
     assert {name: record[name] for name in changed} == changed
     for _ in range(2):
         resume(executed)
+        edited(executed, "r_4,", '"r_4",')  # as another program saves it
+    resume(executed)
     assert (executed.table[3]["Task"], executed.table[3]["Energy"]) == ("Video", "42")
     assert len(executed.journal("deviation")) == 1
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from robot_runner.core.errors import LinkError
+from robot_runner.core.errors import LinkError, SilentGraphError
 from robot_runner.core.links import commanded_topics
 from robot_runner.core.links.commanded_topics import keep_commanding_zero
 from robot_runner.core.links.robot import GraphEndpoint, Qos
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from robot_runner.core.links.robot import RobotLink
 
 TOPIC, TWIST = "/cmd_vel", "geometry_msgs/Twist"
+NOBODY = "nobody subscribes to /cmd_vel any more"
 
 
 @pytest.fixture
@@ -51,7 +52,7 @@ class Told:
         return [GraphEndpoint("/base", TWIST)] if self._is_discovered else [GraphEndpoint("/us", TWIST, is_own=True)]
 
 
-@pytest.mark.parametrize(("discovered", "empty"), [(9.0, []), (3600.0, [TOPIC])])
+@pytest.mark.parametrize(("discovered", "empty"), [(9.0, []), (3600.0, [NOBODY])])
 def test_a_robot_that_is_not_discovered_yet_is_waited_for(
     clock: FakeClock, discovered: float, empty: list[str]
 ) -> None:
@@ -72,6 +73,26 @@ def test_a_robot_behind_the_server_of_our_own_link_is_no_robot_that_is_gone(cloc
     assert clock.now() < commanded_topics._REACHING
 
 
+class Silent(Told):
+    """A robot behind a server that takes commands, while what would list its graph hangs."""
+
+    def advertise(self, topic: str, message_type: str, *, qos: Qos) -> bool:
+        return self._is_discovered
+
+    def subscribers(self, topic: str) -> list[GraphEndpoint]:
+        raise SilentGraphError("rosapi does not answer", where=topic)
+
+
+def test_a_robot_that_takes_commands_is_told_although_its_graph_cannot_be_listed(clock: FakeClock) -> None:
+    robot = Silent(clock, 0.0)
+    said = "zero was published on /cmd_vel, but who subscribes to it is not known: rosapi does not answer"
+    assert keep_commanding_zero(robot, [(TOPIC, TWIST)]) == [said]
+    assert robot.heard > 2
+    assert clock.now() > commanded_topics._REACHING, "it may answer again"
+    with pytest.raises(LinkError, match="the robot's subscription is not reached within"):
+        keep_commanding_zero(Silent(clock, 3600.0), [(TOPIC, TWIST)])
+
+
 class CutOff(Told):
     """A robot that takes nothing any more, and counts as gone after a while: nobody is missed then."""
 
@@ -84,7 +105,7 @@ class CutOff(Told):
 
 
 def test_a_robot_that_comes_to_count_as_gone_while_it_is_looked_for_is_told_to_be_gone(clock: FakeClock) -> None:
-    assert keep_commanding_zero(CutOff(clock, 6.0), [(TOPIC, TWIST)]) == [TOPIC]
+    assert keep_commanding_zero(CutOff(clock, 6.0), [(TOPIC, TWIST)]) == [NOBODY]
 
 
 def test_where_a_robot_is_not_reached_all_subscribers_are_named_as_it_may_be_another_one(clock: FakeClock) -> None:
@@ -150,7 +171,7 @@ def test_a_robot_that_is_not_found_beside_a_dead_run_is_not_reached(clock: FakeC
 def test_a_dead_run_is_no_robot(clock: FakeClock, at_once: None) -> None:
     link = Left(clock, Told(clock, 3600.0))
     link.robots = ()
-    assert keep_commanding_zero(link, [(TOPIC, TWIST)]) == [TOPIC]
+    assert keep_commanding_zero(link, [(TOPIC, TWIST)]) == [NOBODY]
 
 
 class Remote(Told):

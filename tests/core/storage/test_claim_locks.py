@@ -8,12 +8,14 @@ import json
 import resource
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from urllib.parse import quote
 
 import pytest
 
 from robot_runner.core.errors import ExecutionError, StorageError
+from robot_runner.core.storage import claim_locks
 from robot_runner.core.storage.claim_locks import HeldClaims, claim_holders, claiming_folders, state_folder
 
 HOLDING = """
@@ -254,16 +256,38 @@ def test_what_this_machine_has_claimed_under_another_name_is_refused() -> None:
         pass
 
 
-@pytest.mark.parametrize("machine", ["8f4c net:[4026531840]", "", None], ids=["another", "unknown", "not told"])
-def test_what_another_machine_of_a_shared_home_has_claimed_is_its_own(machine: str | None) -> None:
+@pytest.mark.parametrize(
+    "of_another",
+    [
+        lambda _: "8f4c net:[4026531840]",
+        lambda own: own.replace(str(Path("/proc/self/ns/net").readlink()), "net:[1]"),
+        lambda _: "",
+        lambda _: None,
+    ],
+    ids=["another", "a container with a network of its own", "unknown", "not told"],
+)
+def test_what_another_machine_of_a_shared_home_has_claimed_is_its_own(of_another: Callable[[str], str | None]) -> None:
     """Each has a /dev/ttyUSB0. Neither their names nor their ids need differ: cards are copied with /etc/machine-id."""
     first = _holding_under_another_name()
     try:
         path = state_folder("claims").parent / "dhcp-77" / quote("serial:/dev/ttyUSB0", safe="")
-        said = {name: value for name, value in json.loads(path.read_text()).items() if name != "machine"}
+        said = json.loads(path.read_text())
+        machine = of_another(said.pop("machine"))
         path.write_text(json.dumps(said if machine is None else {**said, "machine": machine}))
         with HeldClaims(["serial:/dev/ttyUSB0"], "second", Path("second")) as held:
             assert held.findings == []
     finally:
         first.kill()
         first.communicate()
+
+
+def test_where_this_machine_is_not_known_what_has_another_name_is_another_machine_s(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As on macOS, where two machines that share a home folder are both unknown."""
+    monkeypatch.setattr(claim_locks, "this_boot", str)
+    path = state_folder("claims").parent / "dhcp-78" / quote("serial:/dev/ttyUSB7", safe="")
+    path.parent.mkdir(parents=True)
+    path.write_text(json.dumps({"experiment": "first", "folder": "first", "pid": 1, "since": "", "machine": ""}))
+    with HeldClaims(["serial:/dev/ttyUSB7"], "second", tmp_path, goes_on=Path("first").__eq__) as held:
+        assert held.findings == []

@@ -132,6 +132,9 @@ def test_a_heading_that_is_a_column_of_its_own_is_no_other_ones_spelling(tmp_pat
     assert (rows.row(0)["a b"], rows.row(0)["a.b"]) == (None, 2)
     rows = read(tmp_path, "run_id,Speed,a b,a.b\nr_1,0.1,1,2\n", layout)
     assert (rows.row(0)["a b"], rows.row(0)["a.b"]) == (1, 2)
+    layout = TableLayout.of_model(RunTableModel([SPEED]), ["a b"], {"a b": "number"})
+    rows = read(tmp_path, "run_id,Speed,a b,a.b\nr_1,0.1,1,2\n", layout)
+    assert (rows.row(0)["a b"], rows.layout.extras) == (1, ("a.b",))
 
 
 def test_blank_lines_and_trailing_commas_are_no_runs(tmp_path: Path) -> None:

@@ -209,13 +209,14 @@ def test_a_goal_that_goes_on_after_it_was_cancelled_fails_the_run_whatever_the_p
         rehearse(context, stubborn)
 
 
-def test_what_ends_the_mission_cancels_the_goal(contexts: Any) -> None:
+def test_what_ends_the_mission_cancels_the_goal_and_does_not_leave_it_to_the_closing_events(contexts: Any) -> None:
     mission = _mission(3.0)
     context = contexts(mission)
     server = offered(context)
+    mission.start_run(context)
     context.clock.call_every(1.0, lambda: _raise(LookupError("the operator went home")))
     with pytest.raises(LookupError, match="went home"):
-        rehearse(context, mission)
+        mission.launch_mission(context)
     assert server.cancelled == 1
 
 

@@ -353,6 +353,29 @@ def test_whoever_could_command_the_robot_as_well_is_warned_of_but_for_our_watchd
     assert told == ["/teleop could command the robot, too, on '/cmd_vel'"]
 
 
+@pytest.mark.parametrize(
+    ("nodes", "odometry", "told"),
+    [
+        (["/base", "/bob/base"], [], "/base and /bob/base"),
+        (["/base", "/bob/wheels"], ["/base", "/bob/wheels"], "/base and /bob/wheels"),
+        (["/base", "/record_17", "/safety"], ["/base"], None),
+        (["/base", "/filter"], ["/base", "/filter"], None),
+        (["/base", "/front/guard", "/rear/guard"], ["/base"], None),
+    ],
+    ids=["of one name", "with odometry", "one robot", "a filter of the odometry", "helpers of one name"],
+)
+def test_robots_that_share_the_topic_of_commands_by_mistake_are_warned_of(stage, nodes, odometry, told):
+    """Both drove, and nothing was said, as the odometry of the other one has its namespace."""
+    played = stage()
+    played.robot.known_subscribers["/cmd_vel"] = [GraphEndpoint(each, "geometry_msgs/Twist") for each in nodes]
+    played.robot.known_topics["/bob/odom"] = "nav_msgs/Odometry"
+    played.robot.known_publishers["/bob/odom"] = [GraphEndpoint(each, "nav_msgs/Odometry") for each in odometry]
+    played.robot.known_subscribers["/bob/odom"] = [GraphEndpoint("/filter", "nav_msgs/Odometry")]
+    played.execute()
+    said = f"{told} subscribe '/cmd_vel' as two robots would, and all of them would move"
+    assert [finding.problem for finding in played.context.broker.findings] == ([said] if told else [])
+
+
 def test_a_command_of_somebody_else_fails_the_run_and_names_who_it_was(stage):
     played = stage()
     played.robot.known_publishers["/cmd_vel"] = [TELEOP]

@@ -28,7 +28,7 @@ from robot_runner.core.config.experiment import Experiment
 from robot_runner.core.config.loader import parse_assignments
 from robot_runner.core.config.preparation import prepare
 from robot_runner.core.errors import Finding, RobotRunnerError
-from robot_runner.core.execution.left_systems import robots_left
+from robot_runner.core.execution.left_systems import robots_left, see_to_it_first
 from robot_runner.core.execution.resumption import Resumption, TableChoice, TableDisagreementError, config_changes
 from robot_runner.core.secret_names import shown_assignments
 
@@ -152,7 +152,7 @@ def prepare_and_execute(arguments: Namespace) -> tuple[int, dict[str, Any]]:
     """Prepare the experiment and execute it on a screen; return the exit code, and how it went as plain data."""
     apply_shortcuts(arguments)
     with no_byte_code():
-        preparation = prepare(Path(arguments.config), parse_assignments(arguments.set))
+        preparation = prepare(Path(arguments.config), parse_assignments(arguments.set), first=see_to_it_first)
     findings = under_given_names(preparation.findings, arguments)
     if preparation.experiment is None:
         findings = (*findings, *robots_left())  # nobody stops a robot now that a killed execution has left moving

@@ -115,7 +115,16 @@ class Claims:
         found = {claim for combination in chosen for claim in self._declared(combination)}
         here = found | {f"host:{host.address}" for host in self._parameters.hosts.values() if not host.is_local}
         here.update(self._parameters.claims or ())
-        return frozenset(self._robots(chosen)) | frozenset(() if self._parameters.cluster is not None else here)
+        declared = () if self._parameters.cluster is not None else map(_spelt_alike, here)
+        return frozenset((*self.robots(chosen), *declared))
+
+    def of_run_against_others(self, combination: Mapping[str, Any], model: RunTableModel) -> frozenset[str]:
+        """Return those claims that no run has which is in flight beside this one.
+
+        The experiment is as its place has it. Runs with one robot never overlap, whatever namespaces plugins name.
+        """
+        plan = [*islice(self._apart(run.combination for run in model.plan()), _LOOKED_AT)]
+        return self.against_others([combination]).union(self.robots(plan))
 
     def _apart(self, combinations: Iterable[Mapping[str, Any]]) -> Iterator[Mapping[str, Any]]:
         """Yield the first of the combinations that give plugins the same treatments."""
@@ -134,8 +143,8 @@ class Claims:
                 for robot in self._reached:
                     yield from self._of_plugin(plugin, combination, robot)
 
-    def _robots(self, combinations: Sequence[Mapping[str, Any]]) -> Iterator[str]:
-        """Yield the real robots, each by its graph and the namespaces that plugins name there.
+    def robots(self, combinations: Sequence[Mapping[str, Any]]) -> Iterator[str]:
+        """Yield the claims on the real robots of runs, each by its graph and the namespaces that plugins name there.
 
         So one robot has one claim, however it is reached, and whether its namespace is in its link or in a plugin.
         """
@@ -191,6 +200,27 @@ def _of_config(parameters: Parameters, events: EventManager) -> Iterator[str]:
         yield from parameters.claims
     elif not is_simulated(robot) and any(each.owner == CONFIG_OWNER for each in events.subscribers(*RUN_EVENTS)):
         yield THIS_MACHINE
+
+
+def _spelt_alike(claim: str) -> str:
+    """Return a claim on a robot by graph and namespace, as others are, where it names it as a config does.
+
+    Example:
+        >>> _spelt_alike("robot:dds:domain=7,namespace=bob"), _spelt_alike("robot:bob")
+        ('robot:domain 7/bob', 'robot:bob')
+    """
+    kind, _, robot = claim.partition(":")
+    with suppress(LinkError, PluginError):  # a name of one's own, or a link that is reported elsewhere
+        if kind == "robot" and not is_simulated(robot):
+            return f"robot:{robot_on_graph(robot)}"
+    return claim
+
+
+def declared_for_callbacks(parameters: Parameters, events: EventManager) -> list[str]:
+    """Return the `claims` of a config; where it has none, those that it has without saying so."""
+    if parameters.claims is not None:
+        return [*parameters.claims]
+    return [claim for claim in _of_config(parameters, events) if claim == THIS_MACHINE]
 
 
 def held_claims(claims: Claims, model: RunTableModel) -> frozenset[str]:

@@ -19,7 +19,8 @@ _AT_WORK = frozenset({"robot_runner.cli.main", "robot_runner.testing", "IPython"
 
 def tell_at_exit() -> None:
     """Have Python tell how to execute the experiment when it ends, where a class is defined by the script itself."""
-    if (file := getattr(sys.modules["__main__"], "__file__", None)) is not None:
+    file = getattr(sys.modules["__main__"], "__file__", None)
+    if file is not None and Path(file).is_file():  # what is piped into Python has the name <stdin>
         tell_nothing()  # once for all classes of the file
         atexit.register(_tell, (sys.argv or [file])[0], Path(file))
 

@@ -140,10 +140,12 @@ def prepare(
     *,
     is_for_here: bool = True,
     looks_at_graph: bool = True,
+    first: Callable[[Experiment], Iterable[Finding]] = lambda _: (),
 ) -> Preparation:
     """Load and validate a config file of any dialect; nothing on disk is changed.
 
     With `is_for_here` it is checked whether this machine can execute it, with `looks_at_graph` the robot's graph now.
+    What `first` does with a valid experiment comes before that, as it takes seconds; after an error there is no check.
     """
     try:
         loaded = load(path, overrides)
@@ -170,32 +172,37 @@ def prepare(
         findings += checks.check_repeat_until(loaded, parameters, model, columns)
         findings += checks.check_reboots(loaded, parameters, model)
         findings += check_workers(loaded.where, parameters, plugins, events, model)
+    experiment = None
+    if parameters is not None and model is not None and not any(finding.is_error for finding in findings):
+        experiment = Experiment(
+            config_path=loaded.source.path,
+            class_name=loaded.source.class_name,
+            config=loaded.config,
+            parameters=parameters,
+            plugins=plugins,
+            events=events,
+            model=model,
+            columns=columns,
+            overrides=loaded.overrides,
+            local_modules=loaded.local_modules,
+            folder=experiment_folder(parameters, loaded),
+            spelling=loaded.spelling,
+            kept=loaded.kept,
+            registration=registered(loaded),
+        )
+        done = [*first(experiment)]
+        findings += done
+        is_for_here = is_for_here and not any(finding.is_error for finding in done)  # a person is to know now
     if is_for_here:
         findings += _check_machine(loaded, parameters, plugins, complete, events if looks_at_graph else None)
     # Two checks may have the same finding, one of them as an error.
     refused = {(each.where, each.fix) for each in findings if each.is_error}
     findings = [each for each in findings if each.is_error or (each.where, each.fix) not in refused]
     ordered = tuple(errors_first(dict.fromkeys(findings)))
-    if any(finding.is_error for finding in ordered) or parameters is None or model is None:
+    if experiment is None or any(finding.is_error for finding in ordered):
         return Preparation(None, ordered)
-    experiment = Experiment(
-        config_path=loaded.source.path,
-        class_name=loaded.source.class_name,
-        config=loaded.config,
-        parameters=parameters,
-        plugins=plugins,
-        events=events,
-        model=model,
-        columns=columns,
-        overrides=loaded.overrides,
-        local_modules=loaded.local_modules,
-        folder=experiment_folder(parameters, loaded),
-        spelling=loaded.spelling,
-        kept=loaded.kept,
-        registration=registered(loaded),
-        inputs=named_inputs(parameters, plugins, model, loaded.config),
-    )
-    return Preparation(experiment, ordered)
+    inputs = named_inputs(experiment.parameters, plugins, model, loaded.config)
+    return Preparation(replace(experiment, inputs=inputs), ordered)
 
 
 def _grown(

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import ast
+import inspect
 from collections.abc import Iterator
+from types import CodeType
 
 from robot_runner.core.config.loader import LoadedConfig
 from robot_runner.core.config.source import DESIGN_METHODS, tree_of
@@ -26,9 +28,13 @@ def check_published(loaded: LoadedConfig, events: EventManager, columns: Measure
     if any(code is None or code.co_filename not in trees or code.co_name == "<lambda>" for code in codes):
         return []
     returning = {code.co_name for code, each in zip(codes, own, strict=True) if code and each.event is _POPULATE}
-    contexts = {name for code in codes if code for name in code.co_varnames[: code.co_argcount]} - {"self"}
+    contexts = {name for code in codes if code for name in _taken_by(code)} - {"self"}
     nodes = [node for tree in trees.values() for node in _without_run_tables(tree)]
-    published = [name for node in nodes for name in _published_by(node, returning, contexts)]
+    looked_into = {id(each.value) for each in nodes if isinstance(each, ast.Attribute)}
+    called = {id(each.func) for each in nodes if isinstance(each, ast.Call)}
+    whole = [each for each in nodes if id(each) not in looked_into | called]
+    published = [name for node in nodes for name in _published_by(node, returning)]
+    published += [None for each in whole if _may_publish(each, contexts)]
     if not published or None in published:
         return []
     spelt = {node.value for node in nodes if isinstance(node, ast.Constant) and isinstance(node.value, str)}
@@ -55,17 +61,20 @@ def _without_run_tables(tree: ast.AST) -> Iterator[ast.AST]:
             yield from _without_run_tables(each)
 
 
-def _published_by(node: ast.AST, returning: set[str], contexts: set[str]) -> Iterator[str | None]:
+def _taken_by(code: CodeType) -> Iterator[str]:
+    """Yield the names of what a callback takes; a decorator's often takes a context by `*args`."""
+    names, others, _ = inspect.getargs(code)
+    yield from names
+    if others is not None:
+        yield others
+
+
+def _published_by(node: ast.AST, returning: set[str]) -> Iterator[str | None]:
     """Yield the names of measures that a node may publish; None for names that are not spelt in it."""
     match node:
         case ast.Call(func=ast.Attribute(attr="publish"), args=[ast.Constant(value=str(name)), _]):
             yield name
         case ast.Call(func=ast.Attribute(attr="publish"), args=args) if len(args) <= 2:  # noqa: PLR2004 - no message
-            yield None
-        case ast.Call(args=args, keywords=given):
-            values = [*args, *(each.value for each in given)]
-            yield from (None for each in values if _may_publish(each, contexts))
-        case ast.Assign() | ast.AnnAssign() | ast.NamedExpr() if _may_publish(node.value, contexts):
             yield None
         case ast.FunctionDef(name=function) if function in returning:
             returned = [each.value for each in ast.walk(node) if isinstance(each, ast.Return)]
@@ -74,9 +83,10 @@ def _published_by(node: ast.AST, returning: set[str], contexts: set[str]) -> Ite
             pass
 
 
-def _may_publish(value: ast.expr | None, contexts: set[str]) -> bool:
+def _may_publish(value: ast.AST, contexts: set[str]) -> bool:
+    """Return whether a value that is passed on, or kept, is a context, or its method."""
     match value:
-        case ast.Name(id=name):
+        case ast.Name(id=name, ctx=ast.Load()):
             return name in contexts
         case _:
             return isinstance(value, ast.Attribute) and value.attr == "publish"

@@ -17,18 +17,17 @@ from robot_runner.core.config.claims import Claims, held_claims
 from robot_runner.core.config.experiment import Experiment
 from robot_runner.core.config.plugin_checks import announced_findings
 from robot_runner.core.errors import ExecutionError, Finding, LinkError, RobotRunnerError, StorageError, errors_first
+from robot_runner.core.execution.going_on import goes_on
+from robot_runner.core.execution.interruption import Interruption
 from robot_runner.core.execution.left_processes import (
     await_left_processes,
     end_left_processes,
-    go_on_elsewhere,
-    is_alive,
-    is_subject_left,
     left_processes,
     marked_folders,
 )
 from robot_runner.core.execution.run_events import made_safe_of_their_own
 from robot_runner.core.execution.standby import Standby
-from robot_runner.core.execution.standby_lock import await_standby, await_standby_at, is_at_work
+from robot_runner.core.execution.standby_lock import await_standby, await_standby_at
 from robot_runner.core.execution.systems_state import Care, LeftCopy, LeftSystems, SystemsFile, left_copies
 from robot_runner.core.execution.task import RunTask
 from robot_runner.core.execution.worker import task_of
@@ -44,6 +43,41 @@ from robot_runner.core.words import enumerated
 
 #: Said where no command is on the disk: the power may have failed before one was written.
 _TOLD_NOTHING = "no command of it is known, so that the robot was told nothing now"
+
+
+def see_to_it_first(experiment: Experiment) -> list[Finding]:
+    """See to what is left before a robot's graph is looked at, which takes seconds; for `prepare`.
+
+    Return what was done, with an error where something cannot be done, or a stop request came meanwhile. Nothing is,
+    where others have what this experiment claims: its execution waits, or says so.
+    """
+    folder, earlier = experiment.folder, dict[Path, None]()
+    is_ours = bool(_left_in(folder))
+    if not (is_ours or left_copies()):
+        return []
+
+    def is_at_work(root: Path) -> bool:
+        earlier[root] = None
+        return goes_on(root, counts_orphans=False)
+
+    held = held_claims(Claims(experiment.parameters, experiment.plugins, experiment.events), experiment.model)
+    with Interruption() as interruption, ExitStack() as opened:
+        try:
+            name = experiment.parameters.experiment_name
+            opened.enter_context(HeldClaims(held, name, folder.root, None, is_at_work))
+            if is_ours:
+                opened.enter_context(ExperimentLock(folder.lock))
+        except (ExecutionError, StorageError):
+            return []
+        try:
+            with told_if_refused() as found:
+                found.extend(see_to_what_others_left(experiment, earlier, held))
+                found.extend(see_to_what_is_left(experiment) if is_ours else ())
+        except ExecutionError as error:
+            return [*error.findings]
+    if interruption.is_requested:  # no exception: what was done is to be told
+        found.append(Finding.error("", "interrupted before the first run", "Start the experiment again."))
+    return found
 
 
 def see_to_what_is_left(experiment: Experiment) -> list[Finding]:
@@ -62,8 +96,9 @@ def see_to_what_is_left(experiment: Experiment) -> list[Finding]:
 def see_to_what_others_left(experiment: Experiment, roots: Iterable[Path], claims: Iterable[str]) -> list[Finding]:
     """Stop robots that killed executions of other experiments left moving, before this one uses them.
 
-    That is tried once. Their systems are not known here: the next execution of their own experiment makes them safe.
-    This one has claimed the robots by now; `roots` are the folders of those that had claimed something before.
+    That is tried once, and not of one that is being executed again. Their systems are not known here: the next
+    execution of their own experiment makes them safe. This one has claimed the robots by now; `roots` are the folders
+    of those that had claimed something before.
 
     Raises:
         ExecutionError: a robot cannot be stopped.
@@ -77,7 +112,8 @@ def see_to_what_others_left(experiment: Experiment, roots: Iterable[Path], claim
     for root in roots:
         try:
             findings += _end_what_is_left(root, may_command)
-            found = _left_in(ExperimentFolder.found_at(root))
+            folder = ExperimentFolder.found_at(root)
+            found = [] if holder_of(folder.lock) else _left_in(folder)  # it may command by now what it has claimed
         except OSError as error:  # a share that does not answer any more, say
             problem = f"whether a killed execution has left something there is not known: {error.strerror}"
             findings.append(Finding.warning(str(root), problem, "Check whether its robot stands still."))
@@ -316,20 +352,3 @@ def may_be_moving(folder: ExperimentFolder) -> list[Finding]:
     left = [Finding.warning(each.run_id, f"{MAY_BE_MOVING}: {each.in_words}", fix) for _, each in _left_in(folder)]
     left += announced_findings("left_moving", lambda point: point.load()(folder.root), "looking at what was left")
     return [] if left and goes_on(folder.root, counts_orphans=False) else left
-
-
-def goes_on(root: Path, *, counts_orphans: bool = True) -> bool:
-    """Return whether processes of an experiment are alive whose orchestrator is gone.
-
-    Such are a run, here or on another machine; a probe, gate or reboot; software under test; and a standby. With
-    `counts_orphans`, programs count that a run left without a keeper.
-    """
-    with suppress(OSError, StorageError, ValueError):  # a folder that cannot be read counts as one without any
-        folder = ExperimentFolder.found_at(root)
-        if holder_of(folder.lock):
-            return False
-        marked = marked_folders(folder)
-        is_here = any(is_alive(each) or is_at_work(each) for each in marked)
-        is_left = counts_orphans and any(map(left_processes, marked))
-        return is_here or is_left or is_subject_left(folder) or go_on_elsewhere(folder)
-    return False

@@ -18,11 +18,14 @@ from robot_runner.core.errors import ExecutionError, Finding, RobotRunnerError, 
 from robot_runner.core.events.context import ExperimentEnd
 from robot_runner.core.events.manager import RobotRunnerEvents
 from robot_runner.core.events.measure import OPERATOR_OWNER
+from robot_runner.core.events.resources import closing_left_open
 from robot_runner.core.execution.before_first_run import prepared_treatments
+from robot_runner.core.execution.callback_claims import callback_claims
 from robot_runner.core.execution.clock_jumps import NotedSettings
+from robot_runner.core.execution.going_on import goes_on
 from robot_runner.core.execution.inherited_state import note_open_files
 from robot_runner.core.execution.interruption import Interruption
-from robot_runner.core.execution.left_systems import goes_on, see_to_what_others_left, told_if_refused
+from robot_runner.core.execution.left_systems import see_to_what_others_left, told_if_refused
 from robot_runner.core.execution.local_places import places_of
 from robot_runner.core.execution.notices import (
     ExperimentFinished,
@@ -120,6 +123,8 @@ def execute_experiment(
             holding.forget_earlier()
             progress = ProgressManager(experiment, resumption, probe if probed else None, prepare)
             opened.enter_context(progress)
+        opened.enter_context(callback_claims(experiment, lambda: held, progress.find))
+        opened.enter_context(closing_left_open())
         told = (*findings, *holding.findings, *seen_to)
         return _Orchestrator(experiment, progress, interruption, observer, claims).execute(told)
 

@@ -44,7 +44,7 @@ from robot_runner.core.storage.manifest import write_manifest
 from robot_runner.core.storage.run_table_rows import RunTableRows
 
 #: The kinds of a run's records that are kept in the journal; measures are kept with the end of the attempt.
-_OF_RUN = ("event", "window", "phase", "shared", "finding", "refused", "failure", "clock", "bound", CALLED)
+_OF_RUN = ("event", "window", "phase", "shared", "finding", "refused", "failure", "clock", "machine", "bound", CALLED)
 _OF_ATTENDANCE = ("waited", "guard", "asked", "answered", "subject", "mission_stopped", "outlives")
 _KEPT = frozenset((*_OF_RUN, *_OF_ATTENDANCE))
 

@@ -17,6 +17,7 @@ from robot_runner.core.events.measure import CONFIG_OWNER, Origin
 from robot_runner.core.events.measure_broker import MeasureBroker
 from robot_runner.core.events.resources import Resources, closing_left_open
 from robot_runner.core.events.window import MissionTimes
+from robot_runner.core.execution.callback_claims import claims_of_run
 from robot_runner.core.execution.clock_jumps import CLOCKS, ClockJumps, told_setting
 from robot_runner.core.execution.inherited_state import seed_random_numbers
 from robot_runner.core.execution.interruption import InterruptGate
@@ -37,7 +38,8 @@ def execute_run(
 
     Nothing is raised: a failure is a record like any other. What was opened is closed, systems are made safe.
     """
-    _Run(experiment, task, report, gate, systems).execute()
+    with claims_of_run(experiment, task, report):
+        _Run(experiment, task, report, gate, systems).execute()
 
 
 def has_standby(experiment: Experiment) -> bool:

@@ -77,7 +77,8 @@ def _owner(owners: Mapping[int, str], frame: FrameType | None) -> str:
 class ReportedFacts:
     """Records of runs that are kept elsewhere than in the journal, too.
 
-    Clock offsets and the programs that were called go into the manifest, refused values into the run's folder.
+    Clock offsets, the machines of a cluster and the programs that were called go into the manifest, refused values into
+    the run's folder.
     """
 
     def __init__(self, folder: ExperimentFolder, manifest: dict[str, Any]) -> None:
@@ -89,6 +90,8 @@ class ReportedFacts:
         """Take a record of a run; most kinds are kept in the journal alone."""
         if kind == "clock":
             _note_clock(self._manifest, fields)
+        elif kind == "machine":
+            _note_machine(self._manifest, fields)
         elif kind == "refused":
             keep_refused(self._folder, run_id, fields)
         elif kind == CALLED:
@@ -146,6 +149,30 @@ def _note_clock(manifest: dict[str, Any], facts: Mapping[str, Any]) -> None:
         "largest_uncertainty_s": max(so_far["largest_uncertainty_s"], facts["uncertainty"]),
         "last_drift": so_far["last_drift"] if facts["drift"] is None else facts["drift"],
     }
+
+
+#: The manifest has at most so many machines that differ, and so many names of places of each; the journal has all.
+_MOST_MACHINES = _MOST_PLACES = 1000
+
+
+def _note_machine(manifest: dict[str, Any], facts: Mapping[str, Any]) -> None:
+    """Add the machine of a place on a cluster to the manifest's `machines`: equal ones are told once.
+
+    `facts` are `place`, and `host` as `describe_host` returns it there.
+
+    Example:
+        >>> manifest = {}
+        >>> for place in ("one/1", "one/2", "one/1"):
+        ...     _note_machine(manifest, {"place": place, "host": {"cores": 2}})
+        >>> manifest["machines"]
+        [{'host': {'cores': 2}, 'places': ['one/1', 'one/2']}]
+    """
+    machines, host, place = manifest.setdefault("machines", []), dict(facts["host"]), str(facts["place"])
+    alike = next((each for each in machines if each["host"] == host), None)
+    if alike is None and len(machines) < _MOST_MACHINES:
+        machines.append({"host": host, "places": [place]})
+    elif alike is not None and place not in alike["places"] and len(alike["places"]) < _MOST_PLACES:
+        alike["places"].append(place)
 
 
 class UnreadFactors:

@@ -36,6 +36,7 @@ from robot_runner.core.links.commanded_topics import (
     STOP_BY_HAND,
     Commanded,
     keep_commanding_zero,
+    zero_first,
 )
 from robot_runner.core.links.connect import (
     RobotTriedOnce,
@@ -242,12 +243,12 @@ class Standby:
     def _make_safe(self, connection: _Connection) -> list[str]:
         """Stop the robot on each topic, make each system safe, and stop the robot again; a failure skips no step.
 
-        Goals are cancelled meanwhile, as the server of an action may hang. Return what remains doubtful: topics without
-        a subscriber, and what systems warn of.
+        Goals are cancelled meanwhile, as the server of an action may hang. Return what remains doubtful: who takes
+        the commands, and what systems warn of.
         """
         commanded = self.state.commanded
         topics = [each for each in commanded if each.message_type != CANCELLING]
-        unheard, cancelling = list[str](), list[Future[None]]()
+        doubts, cancelling = list[str](), list[Future[None]]()
 
         def begin(link: RobotLink, at: Sequence[Commanded]) -> None:
             try:
@@ -260,12 +261,11 @@ class Standby:
             if len(topics) < len(commanded):  # the server of an action may have commanded the robot until now
                 each_of_them.callback(connection.at_graphs, _command_zero, topics)
             each_of_them.callback(lambda: [each.result() for each in cancelling])
-            each_of_them.callback(lambda: unheard.extend(chain(*connection.at_graphs(_keep_commanding_zero, topics))))
+            each_of_them.callback(lambda: doubts.extend(chain(*connection.at_graphs(_keep_commanding_zero, topics))))
             for system in self.systems:
                 each_of_them.callback(made_safe, system, connection.contexts(system.name))
             each_of_them.callback(connection.at_graphs, begin, commanded)  # a config may have commanded, too
-        gone = [f"nobody subscribes to {enumerated(sorted(unheard))} any more"] if unheard else []
-        return [*gone, *connection.warnings]
+        return [*doubts, *connection.warnings]
 
 
 def _begun(threads: ThreadPoolExecutor, act: Callable[[], _T]) -> Callable[[], _T]:
@@ -333,7 +333,8 @@ class _Connection:
         return done
 
     def _act_at(self, graph: str, act: Callable[[RobotLink, Sequence[Commanded]], _T], of: Sequence[Commanded]) -> _T:
-        return act(self._link(graph), of)
+        with zero_first([(each.topic, each.message_type) for each in of if each.message_type != CANCELLING]):
+            return act(self._link(graph), of)
 
     def _is_of_run(self, graph: str) -> bool:
         """Return whether a graph is that of the run's robot, and not one that a callback has reached by itself."""

@@ -58,7 +58,7 @@ from robot_runner.core.storage.guarded_files import (
     read_blocks,
     sha256_of,
 )
-from robot_runner.core.storage.journal import journal_lines, parsed_record
+from robot_runner.core.storage.journal import journal_lines, parsed_record, read_journal
 from robot_runner.core.storage.layout import next_in
 from robot_runner.core.storage.run_table_reading import read_run_table
 from robot_runner.core.storage.run_table_rows import RunTableRows
@@ -182,7 +182,9 @@ class _Recovery:
         if self._accepts_changes or (self._choice is TableChoice.FILE and not is_ours):
             return plan, () if is_ours else tuple(planned_otherwise(self._plan, rows, *self._last_ends()))
         if not is_ours or plan != self._manifest["design"].get(ACCEPTED_PLAN):
-            accepted = {(*cell, is_now) for cell, is_now in self._last_ends()[1].items()}
+            done, changes = {*rows.done_runs}, read_journal(self._journal, kinds={"deviation"})  # see `_reconcile`
+            accepted = {(each["run"], each["column"], each["is"]) for each in changes if each["run"] in done}
+            accepted |= {(*cell, is_now) for cell, is_now in self._last_ends()[1].items()}
             refuse_differences(table_differences(self._path, self._plan, rows, accepted, is_as_written=is_ours))
         return "", ()
 

@@ -36,6 +36,7 @@ from robot_runner.core.execution.run_records import FINISHED, RecordWriter
 from robot_runner.core.execution.systems_state import Care, SystemsFile, SystemsState
 from robot_runner.core.execution.task import RunTask
 from robot_runner.core.links.commanded_topics import Commanded, hear_commanded
+from robot_runner.core.links.robot_claims import inherit_robots, robots_of_callbacks
 from robot_runner.core.storage.layout import print_to_log
 from robot_runner.core.storage.shared_claims import held_against_users, hold_inherited
 from robot_runner.core.treatments import bind
@@ -75,6 +76,7 @@ def become_interpreter(
         "records": report.descriptor,
         "systems": None if systems is None else systems.descriptor,
         "claims": claims,
+        "robots": robots_of_callbacks(),
     }
     # Not as an argument, which has a limited length and can be seen by others. In the experiment's folder, which is
     # known to be writable; the file has no name there.
@@ -130,6 +132,7 @@ def _kept(systems: SystemsState, experiment: Experiment, task: RunTask) -> Itera
 
 def _execute_described(description: Mapping[str, Any], report: RecordWriter) -> None:
     hold_inherited(description["claims"])
+    inherit_robots(description["robots"])
     experiment = prepare_or_refuse(Path(description["config"]), description["set"], looks_at_graph=False)
     # Somebody may have edited the file since: runs before and after would be of different experiments.
     ExecutionError.refuse(config_changes(experiment, of_settings=False))

@@ -6,11 +6,13 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack, closing, contextmanager, suppress
+from contextvars import ContextVar
 from typing import NamedTuple
 
-from robot_runner.core.errors import LinkError
+from robot_runner.core.errors import LinkError, SilentGraphError
 from robot_runner.core.links.graph_names import is_left_by_the_dead
 from robot_runner.core.links.robot import Advertiser, Message, Qos, Rejoiner, RobotLink
+from robot_runner.core.links.robot_claims import claim_commanded
 from robot_runner.core.words import enumerated
 
 #: The types of a velocity in all directions.
@@ -54,6 +56,8 @@ class Commanded(NamedTuple):
 _listeners: list[Callable[[Commanded], object]] = []
 #: The type of each topic on which this process commands a robot, by the topic's full name.
 _types: dict[str, str] = {}
+#: The topics of `zero_first`, with their types.
+_zero_first: ContextVar[Sequence[tuple[str, str]] | None] = ContextVar("zero first", default=None)
 
 
 def hear_commanded(listener: Callable[[Commanded], object]) -> None:
@@ -66,16 +70,20 @@ def tell_commanded(topic: str, message_type: str, graph: str | None = "") -> Non
 
     Without a graph they are not told: a robot that is simulated in this process ends with it.
 
+    Raises:
+        LinkError: a callback is about to command a robot that another run, experiment or user has claimed.
+
     Example:
         >>> hear_commanded(print)
         >>> tell_commanded("/alice/cmd_vel", "geometry_msgs/Twist", "ros1")
         Commanded(topic='/alice/cmd_vel', message_type='geometry_msgs/Twist', graph='ros1')
         >>> _listeners.clear()
     """
-    _types[topic] = message_type
     if graph is not None:
+        claim_commanded(topic, graph)  # before a standby hears of it: it must not stop what somebody else has
         for listener in _listeners:
             listener(Commanded(topic, message_type, graph))
+    _types[topic] = message_type
 
 
 def commanded_type(topic: str) -> str | None:
@@ -83,24 +91,54 @@ def commanded_type(topic: str) -> str | None:
     return _types.get(topic)
 
 
+@contextmanager
+def zero_first(topics: Sequence[tuple[str, str]]) -> Iterator[None]:
+    """Have a link that is opened or used meanwhile command zero on topics (name and type) before it asks anything.
+
+    What it asks afterwards, it does not wait long for, as goals are still to be cancelled.
+
+    Example:
+        >>> with zero_first([("/cmd_vel", "geometry_msgs/Twist")]):
+        ...     topics_of_zero_first()
+        [('/cmd_vel', 'geometry_msgs/Twist')]
+        >>> topics_of_zero_first()
+        ()
+    """
+    token = _zero_first.set(topics)
+    try:
+        yield
+    finally:
+        _zero_first.reset(token)
+
+
+def topics_of_zero_first() -> Sequence[tuple[str, str]]:
+    """Return the topics, with their types, on which zero is commanded first; none outside of `zero_first`."""
+    return _zero_first.get() or ()
+
+
+def is_zero_first() -> bool:
+    """Whether `zero_first` is in force, though perhaps for no topic."""
+    return _zero_first.get() is not None
+
+
 def keep_commanding_zero(link: RobotLink, commanded: Sequence[tuple[str, str]]) -> list[str]:
     """Command zero on topics (name and type) of one graph for some seconds, and until every subscriber is reached.
 
     On a topic without a subscriber, one is awaited for as long: it may have to be discovered. Where a dead process of
     ours is listed as one, a participant that joins after its death commands as well, and tells who is reached. Return
-    the topics without a subscriber.
+    what remains doubtful: topics without a subscriber, and those whose subscribers the graph does not tell.
 
     Raises:
         LinkError: a subscriber of a topic, or the robot, is not reached. A failure at one topic is raised after the
             others are done; a failure at all of them immediately.
     """
-    with _rejoining(link, commanded) as links_now:
+    with zero_first(commanded), _rejoining(link, commanded) as links_now:
         began = time.monotonic()
         while True:
             time.sleep(_PERIOD)
             seconds = time.monotonic() - began
             links, is_known = links_now()
-            reached: dict[str, bool | None] = {}
+            reached: dict[str, bool | str] = {}
             faults: dict[str, Exception] = {}
             for topic, message_type in commanded:
                 try:
@@ -113,14 +151,14 @@ def keep_commanding_zero(link: RobotLink, commanded: Sequence[tuple[str, str]]) 
                         each.publish(topic, message_type, {})
                 except Exception as error:  # noqa: BLE001 - raised below
                     faults.setdefault(topic, error)
-            is_over = seconds > _REACHING or (seconds >= _TELLING and all(reached.values()))
+            is_over = seconds > _REACHING or (seconds >= _TELLING and all(each is True for each in reached.values()))
             if faults and (is_over or len(faults) == len(commanded)):
                 raise next(iter(faults.values()))
             missed = [topic for topic, is_reached in reached.items() if is_reached is False]
             if missed and seconds > _REACHING:
                 raise _not_reached(link, missed[0], seconds)
             if is_over:
-                return [topic for topic, is_reached in reached.items() if is_reached is None]
+                return [doubt for doubt in reached.values() if isinstance(doubt, str)]
 
 
 @contextmanager
@@ -154,13 +192,16 @@ def _rejoining(
         yield links_now
 
 
-def _is_reached(links: Sequence[RobotLink], topic: str, message_type: str, *, is_known: bool) -> bool | None:
-    """Return whether all that subscribe to a topic, by any link, are reached by the last; None where nobody does."""
+def _is_reached(links: Sequence[RobotLink], topic: str, message_type: str, *, is_known: bool) -> bool | str:
+    """Return whether all that subscribe to a topic, by any link, are reached by the last, or why that is doubtful."""
     # First: that takes up to a second, in which one that takes nothing may come to count as gone.
     is_reached = is_known and _reaches(links[-1], topic, message_type)
-    listed = [{each.node for each in link.subscribers(topic) if each.may_be_others} for link in links]
+    try:
+        listed = [{each.node for each in link.subscribers(topic) if each.may_be_others} for link in links]
+    except SilentGraphError as error:
+        return is_reached and f"zero was published on {topic}, but who subscribes to it is not known: {error.problem}"
     alive = {node for node in listed[0] if not is_left_by_the_dead(node)}
-    return is_reached and alive <= listed[-1] if alive or listed[-1] else None
+    return is_reached and alive <= listed[-1] if alive or listed[-1] else f"nobody subscribes to {topic} any more"
 
 
 def command_for_certain(link: RobotLink, topic: str, message_type: str, message: Message) -> None:

@@ -14,6 +14,7 @@ from robot_runner.core.events.resources import R, Resources, opened_here
 from robot_runner.core.links import kinds
 from robot_runner.core.links.graph_names import GraphNeed, full_name, namespace_prefix
 from robot_runner.core.links.robot import RobotLink
+from robot_runner.core.links.robot_claims import claiming_if_commanded
 from robot_runner.core.links.robot_name import RobotName
 from robot_runner.core.storage.input_files import InputFile
 
@@ -238,7 +239,10 @@ def graph_of_robot(robot: str) -> str:
         >>> graph_of_robot("dds:namespace=alice,domain=7") == graph_of_robot("ros2:domain=7")
         True
     """
-    kind, name = resolved_robot(robot)
+    return _graph_of(*resolved_robot(robot))
+
+
+def _graph_of(kind: kinds.RobotLinkKind, name: RobotName) -> str:
     graph = kind.graph_of(name) if isinstance(kind, kinds.TellsGraphs) else name.graph
     return graph.rstrip("/")
 
@@ -320,7 +324,9 @@ def _below(own: str, namespace: str) -> str:
 def open_robot(robot: str, *, namespace: str = "", seed: int = 1) -> Iterator[tuple[RobotLink, Clock]]:
     """Reach a robot outside of a run, as a node of your own does, and leave it when the block ends.
 
-    What a run's callback leaves open is closed as the run ends: the robot stands still.
+    What a callback leaves open is closed as its run ends, or the experiment: the robot stands still. In an experiment,
+    a real robot is claimed before its first velocity or goal, until the run ends, or in a callback of the orchestrator
+    until the link is closed. Where another run, experiment or user has claimed it, commanding it raises a `LinkError`.
 
     Args:
         robot: as in a config, such as `dds:domain=7,clock=graph`.
@@ -339,9 +345,9 @@ def open_robot(robot: str, *, namespace: str = "", seed: int = 1) -> Iterator[tu
         'base_footprint'
     """
     kind, name = resolved_robot(robot)
-    with opened_here() as resources:
+    within = _below(name.namespace, namespace)
+    with claiming_if_commanded(robot, name.graph, _graph_of(kind, name), within), opened_here() as resources:
         clock = kind.open_clock(name, resources=resources, seed=seed)
-        within = _below(name.namespace, namespace)
         link = kind.open_robot(name, resources=resources, clock=clock, seed=seed, namespace=within)
         resources.open("robot", lambda: link)
         yield link, clock

@@ -135,6 +135,8 @@ class HeldClaims:
             or raises. None to refuse the experiment instead.
         goes_on: returns whether processes of the experiment in a folder are alive though nobody executes it: after a
             kill the system has released its claims, but its run may still be closing, or its robot being stopped.
+        own: claims that this process, or the one that has forked it, holds already. They are in nobody's way, and their
+            files are not opened: a process that closes a file which it has locked loses its lock.
 
     Attributes:
         findings: warnings of claims whose files cannot be locked, so that others are not kept out.
@@ -150,8 +152,10 @@ class HeldClaims:
         folder: Path,
         wait: Callable[[Sequence[Finding]], None] | None = None,
         goes_on: Callable[[Path], bool] = lambda _: False,
+        own: Collection[str] = (),
     ) -> None:
         self._claims = sorted(claims)
+        self._own = {*claims, *own}
         self._signature = ClaimHolder(experiment, str(folder), os.getpid(), machine=_this_machine())
         self._wait = wait
         self._goes_on = goes_on
@@ -190,7 +194,7 @@ class HeldClaims:
         """Yield holders of the whole graph of one of our robots, or of a robot on a graph of ours."""
         paths: list[Path] = []
         with suppress(StorageError):  # of a user without a home folder: told where a claim is to be held
-            paths = [path for path in _files() if unquote(path.name) not in self._claims] + _under_other_names("*")
+            paths = [path for path in _files() if unquote(path.name) not in self._own] + _under_other_names("*")
         for path in paths:
             other = unquote(path.name)
             with suppress(StorageError, OSError):

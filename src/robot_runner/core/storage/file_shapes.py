@@ -98,6 +98,11 @@ class _Software(TypedDict):
 _TableDeviation = TypedDict("_TableDeviation", {"run": str, "column": str, "was": Scalar, "is": Scalar})
 
 
+class _Machine(TypedDict):
+    host: dict[str, Any]
+    places: list[str]
+
+
 class Manifest(TypedDict):
     """`manifest.json`."""
 
@@ -127,6 +132,7 @@ class Manifest(TypedDict):
     executions: NotRequired[list[_Execution]]
     given_to_extension: NotRequired[dict[str, Any] | None]
     clocks: NotRequired[dict[str, dict[str, Any]]]
+    machines: NotRequired[list[_Machine]]
     revisions: NotRequired[dict[str, dict[str, Repository]]]
     table_deviations: NotRequired[list[_TableDeviation]]
 

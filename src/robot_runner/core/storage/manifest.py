@@ -27,6 +27,7 @@ from robot_runner.core.storage.guarded_files import (
     read_json,
     replace,
 )
+from robot_runner.core.words import counted
 
 #: Keys whose values are compared with the config, and so are not masked: a treatment may be equal to a password.
 _COMPARED = frozenset(
@@ -48,6 +49,26 @@ def describe_host() -> dict[str, Any]:
         "memory_bytes": _memory_bytes(),
         "governor": _governor(),
     }
+
+
+def host_in_words(host: Mapping[str, Any]) -> str:
+    """Return in words what measures of a machine depend on, by facts as `describe_host` returns them.
+
+    Memory is left out: the number of bytes changes with each kernel.
+
+    Example:
+        >>> host_in_words({"processor": "Cortex-A72", "cores": 4, "system": "Linux", "release": "6.1"})
+        'Cortex-A72, 4 cores, Linux 6.1'
+    """
+    cores, governor = host.get("cores"), host.get("governor")
+    system = " ".join(str(host[part]) for part in ("system", "release") if host.get(part))
+    parts = (
+        str(host.get("processor") or host.get("machine") or ""),
+        counted(cores, "core") if isinstance(cores, int) else "",
+        system,
+        f"governor {governor}" if governor else "",
+    )
+    return ", ".join(filter(None, parts))
 
 
 def describe_software() -> dict[str, Any]:

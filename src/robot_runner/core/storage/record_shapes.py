@@ -250,6 +250,11 @@ class _Subject(_OfRun):
     output: NotRequired[str | None]
 
 
+class _Machine(_OfRun):
+    place: str
+    host: dict[str, Any]
+
+
 class _MissionStopped(_OfRun):
     owner: str
     reason: str
@@ -280,6 +285,7 @@ RECORDS: dict[str, Any] = {
     "guard": _Guard,
     "included": _Included,
     "judged": _Judged,
+    "machine": _Machine,
     "mission_stopped": _MissionStopped,
     "operator_step": _OperatorStep,
     "prepared": _Prepared,
