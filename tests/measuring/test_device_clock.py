@@ -1,6 +1,8 @@
 from __future__ import annotations
 
+import math
 import random
+from itertools import pairwise
 
 import pytest
 from hypothesis import given
@@ -13,6 +15,7 @@ from robot_runner.measuring.device_clock import (
     ClockOffset,
     ClockRecord,
     estimate_offset,
+    fit_bent_clock,
     fit_clock,
 )
 
@@ -65,6 +68,81 @@ def test_of_messages_with_one_stamp_the_earliest_counts():
 def test_no_messages_are_refused():
     with pytest.raises(PluginError, match="no messages"):
         fit_clock([], [])
+
+
+def warming(*, seconds: float, change: float, held_up: tuple[float, float] = (0.0, 0.0)):
+    """Return moments, a device's stamps of them, 20 a second, and arrivals; those of a time were held up to its end.
+
+    The rate of the device's clock approaches `change`, parts of one, as it warms up for a quarter of an hour.
+    """
+    rng = random.Random(1)  # noqa: S311 - jitter, no secret
+    moments = [number / 20 for number in range(int(seconds * 20))]
+    stamps = [at + change * (at - 900 * (1 - math.exp(-at / 900))) for at in moments]
+    begun, ended = held_up
+    arrivals = [(ended if begun < at < ended else at) + 0.001 + rng.uniform(0, 0.015) for at in moments]
+    return moments, stamps, arrivals
+
+
+def placed(stamps: list[float], arrivals: list[float]) -> list[float]:
+    maps = fit_bent_clock(stamps, arrivals)
+    parts = pairwise([*maps, (len(stamps), maps[-1][1])])
+    return [moment for (first, clock), (last, _) in parts for moment in clock.all_to_run(stamps[first:last])]
+
+
+def distance(times: list[float], moments: list[float]) -> float:
+    return max(abs(time - moment) for time, moment in zip(times, moments, strict=True))
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("change", [0.001, -0.001, 0.0003, 0.0])
+def test_a_clock_whose_rate_changes_with_its_temperature_is_followed_for_hours(change):
+    """One line through an hour put samples a third of a second beside their times, and so parts of a mission."""
+    moments, stamps, arrivals = warming(seconds=3600, change=change)
+    times = placed(stamps, arrivals)
+    assert distance(times, moments) < 0.005
+    assert all(sooner <= later for sooner, later in pairwise(times))
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("change", [0.0003, 0.0])
+def test_messages_that_were_held_up_for_minutes_are_no_change_of_the_clock(change):
+    moments, stamps, arrivals = warming(seconds=3600, change=change, held_up=(1500, 1760))
+    times = placed(stamps, arrivals)
+    assert distance(times, moments) < 0.005
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    ("seconds", "held_up"), [(300, (0, 180)), (300, (240, 300)), (95, (40, 80)), (900, (0, 300)), (900, (600, 900))]
+)
+def test_messages_that_were_held_up_leave_an_even_clock_its_line(seconds, held_up):
+    """Even those at the beginning and at the end, beyond which nothing tells how the clock went."""
+    _, stamps, arrivals = warming(seconds=seconds, change=0.0, held_up=held_up)
+    assert fit_bent_clock(stamps, arrivals) == [(0, fit_clock(stamps, arrivals))]
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("change", [0.001, -0.001])
+@pytest.mark.parametrize("held_up", [(0, 300), (900, 1800)])
+def test_where_messages_tell_nothing_of_a_clock_that_is_followed_it_is_as_good_as_its_line(change, held_up):
+    moments, stamps, arrivals = warming(seconds=1800, change=change, held_up=held_up)
+    line = fit_clock(stamps, arrivals).all_to_run(stamps)
+    times = placed(stamps, arrivals)
+    assert times != line
+    assert distance(times, moments) < distance(line, moments) + 0.005
+
+
+@pytest.mark.long
+def test_a_machine_that_delivers_all_messages_late_for_minutes_is_no_change_of_the_clock():
+    _, stamps, arrivals = warming(seconds=900, change=0.0)
+    late = [arrival + 0.06 if 200 < arrival < 600 else arrival for arrival in arrivals]
+    assert fit_bent_clock(stamps, late) == [(0, fit_clock(stamps, late))]
+
+
+def test_an_even_clock_has_one_map_however_long_it_goes():
+    stamps = [10.0 * number for number in range(3600)]
+    arrivals = [7.0 + stamp * 1.005 for stamp in stamps]
+    assert fit_bent_clock(stamps, arrivals) == [(0, fit_clock(stamps, arrivals))]
 
 
 @given(

@@ -224,7 +224,7 @@ def test_numbers_of_gpus_may_come_from_numpy_or_an_iterator(gpus):
 
 @pytest.mark.parametrize(
     "settings",
-    [{"gpus": []}, {"gpus": [-1]}, {"gpus": ["0"]}, {"gpus": [0.5]}, {"gpus": [True]}, {"rate_hz": 0.0}],
+    [*({"gpus": gpus} for gpus in ([], [-1], ["0"], [0.5], [True], [[0]])), {"rate_hz": 0.0}],
 )
 def test_what_cannot_be_is_refused(settings):
     with pytest.raises(PluginError):

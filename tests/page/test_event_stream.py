@@ -6,7 +6,7 @@ import asyncio
 import threading
 from typing import Any
 
-from robot_runner.page.event_stream import Channel
+from robot_runner.page.event_stream import Channel, EventStream
 
 
 class EndingExperiment:
@@ -43,3 +43,27 @@ def test_a_viewer_who_comes_while_an_experiment_ends_is_told_so_last() -> None:
 
     messages = asyncio.run(asyncio.wait_for(told(), 60))
     assert messages.index(b"running") < messages.index(b"done")
+
+
+def test_nothing_is_left_of_viewers_who_have_gone() -> None:
+    """In Python 3.11 each went on for ever, unseen, until the page had answered 400 of them and nobody any more."""
+
+    async def gone() -> None:
+        channel = Channel(EndingExperiment(), every=0.01)
+        left = asyncio.Event()
+
+        async def receive() -> dict[str, str]:
+            await left.wait()
+            return {"type": "http.disconnect"}
+
+        async def send(message: dict[str, Any]) -> None:
+            if message["type"] == "http.response.body":
+                left.set()  # as the viewer is sent something
+                await asyncio.sleep(0)
+
+        for _ in range(20):
+            left.clear()
+            await EventStream(channel, {})({"type": "http"}, receive, send)
+        channel.stop()
+
+    asyncio.run(asyncio.wait_for(gone(), 60))

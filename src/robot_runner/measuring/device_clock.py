@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass
+from itertools import pairwise
 from typing import Any
 
 from robot_runner.core.errors import LinkError, PluginError
@@ -12,9 +14,18 @@ from robot_runner.core.errors import LinkError, PluginError
 _LARGEST_SKEW = 0.01
 #: Over less time, s, the jitter of arrival (some milliseconds) would be taken for skew.
 _SHORTEST_BASE = 10.0
-#: Over less time than that, only a skew that moved the arrivals by more than this is believed: a busy machine delays
-#: bytes by less, s.
+#: What moves arrivals by more than this, s, is believed to be the clock also where it may be jitter: a busy machine
+#: delays bytes by less.
 _BEYOND_JITTER = 0.1
+
+#: How fast the rate of a clock may fall, parts of one in a second: a ceramic resonator that warms up changes by 0.1 %
+#: at most, within many minutes.
+_FASTEST_CHANGE = 2e-6
+#: How far the rate of a clock may be off its mean over a mission, parts of one: data sheets of ceramic resonators allow
+#: for 0.2 or 0.3 % from -20 to 80 degrees Celsius.
+_MOST_BEND = 2e-3
+#: Over so much of a mission, s, its clock is taken to go on beyond it as it did.
+_STRETCH = 60.0
 
 _Point = tuple[float, float]
 
@@ -79,6 +90,61 @@ def fit_clock(
     drift = _skew(hull, device_times[0], device_times[-1])
     skew = drift if abs(drift) <= largest_skew else 0.0
     return ClockMap(min(delay - skew * stamp for stamp, delay in hull), 1.0 + skew, drift)
+
+
+def fit_bent_clock(
+    device_times: Sequence[float], received_times: Sequence[float], *, largest_skew: float = _LARGEST_SKEW
+) -> list[tuple[int, ClockMap]]:
+    """Return maps as of `fit_clock`, each with the number of the first message that it holds for.
+
+    It is one, unless the device's clock leaves the line by more than 0.1 s: its rate changes with its temperature, so
+    that a line through hours may be a second off. Then the maps run below the points as `fit_clock`'s line does, but
+    bend as fast as a clock may: they join the corners of the lower hull that the points have with a parabola added.
+
+    Raises:
+        PluginError: there are no messages.
+    """
+    line = fit_clock(device_times, received_times, largest_skew=largest_skew)
+    first, last, half = device_times[0], device_times[-1], _FASTEST_CHANGE / 2
+    messages = zip(device_times, received_times, strict=True)
+    hull = _lower_hull((at, came - line.offset - line.rate * at + half * (at - first) ** 2) for at, came in messages)
+    least = _believed([(at, height - half * (at - first) ** 2) for at, height in hull])
+    if not least[1:] or max(delay for _, delay in least) <= _BEYOND_JITTER:
+        return [(0, line)]
+    least = (_continued(least, first), *least, _continued(least[::-1], last))
+    maps: list[tuple[int, ClockMap]] = []
+    for (sooner, delay), (later, delay_then) in pairwise(least):
+        bend = (delay_then - delay) / (later - sooner)
+        clock = ClockMap(line.offset + delay - bend * sooner, line.rate + bend, line.drift)
+        maps.append((bisect_left(device_times, sooner), clock))
+    return maps
+
+
+def _believed(corners: Sequence[_Point]) -> Sequence[_Point]:
+    """Return a hull's corners without those at its ends that messages made which were held up.
+
+    From there the clock would have gone too slowly or too fast. And the first and the last message are corners,
+    however late they came.
+    """
+    bends = [(most - least) / (later - sooner) for (sooner, least), (later, most) in pairwise(corners)]
+    begin, end = 0, len(bends)
+    while begin < end and bends[begin] < -_MOST_BEND:
+        begin += 1
+    while begin < end and bends[end - 1] > _MOST_BEND:
+        end -= 1
+    return corners[begin + 1 : end]
+
+
+def _continued(points: Sequence[_Point], end: float) -> _Point:
+    """Return the point at an end before the first one, to which the clock leads that goes on as it does behind that.
+
+    Where it is far, all messages were held up and tell nothing of the clock: then it is one of the line.
+    """
+    at, delay = points[0]
+    if abs(end - at) > _STRETCH:
+        return end, 0.0
+    behind, then = next((each for each in points if abs(each[0] - at) >= _STRETCH), points[-1])
+    return end, delay + (then - delay) / (behind - at) * (end - at)
 
 
 def _skew(hull: Sequence[_Point], first: float, last: float) -> float:

@@ -9,7 +9,7 @@ from enum import Enum
 from numbers import Real
 
 from robot_runner.core.design.numeric_range import is_whole
-from robot_runner.core.errors import Finding, PluginError, did_you_mean
+from robot_runner.core.errors import Finding, PluginError, nearest
 
 
 def check_numbers(where: str, *, may_be_zero: bool = False, **parameters: object) -> None:
@@ -89,11 +89,10 @@ def named_signal(plugin: str, wanted: object) -> signal.Signals:
     for each in signal.Signals:
         if wanted == each and wanted is not True:
             return each
-    name = str(wanted).upper().removeprefix("SIGNAL.")
-    names = [f"signal.{each.name}" for each in signal.Signals if isinstance(wanted, str)]
-    fix = did_you_mean(f"signal.{name}", names, "Give a member of it: stop_signal=signal.SIGINT.")
-    problem = f"stop_signal is {wanted!r}, and Python's module signal has no such member"
-    raise PluginError(problem, where=plugin, fix=fix)
+    names = [each.name for each in signal.Signals if isinstance(wanted, str)]
+    meant = nearest(str(wanted).rpartition(".")[2], names) or signal.SIGINT.name
+    problem = f"stop_signal is {wanted!r}, which is no member of Python's module signal"
+    raise PluginError(problem, where=plugin, fix=f"Give a member of it: stop_signal=signal.{meant}.")
 
 
 def no_robot(plugin: str, does: str, *, for_example: str = "simulated") -> Finding:

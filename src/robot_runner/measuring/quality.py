@@ -8,7 +8,7 @@ from array import array
 from bisect import bisect_left, bisect_right
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
-from itertools import pairwise
+from itertools import chain, pairwise
 from pathlib import Path
 from typing import Any
 
@@ -230,7 +230,8 @@ def quality_of(times: Sequence[float], window: Window, rate: float, **known: Any
         '4 samples arrived of 10 expected'
     """
     seen = times[within(times, window)]
-    gaps = [later - sooner for sooner, later in pairwise((window.start, *seen, window.end))]
+    edged = pairwise(chain((window.start,), seen, (window.end,)))
+    gaps = array("d", (later - sooner for sooner, later in edged))  # a mission of hours has millions
     period = 1.0 / rate
     unseen = sum(gap for gap in gaps if gap > _GAP_PERIODS * period)
     first, behind = bisect_right(times, window.start), bisect_left(times, window.end)
@@ -256,12 +257,12 @@ def _overdue(times: Sequence[float], window: Window, period: float) -> float:
     Intervals across an edge count, too: what is interpolated between their samples is as uncertain in the window as if
     the whole interval were in it.
     """
-    near = list(times[max(bisect_right(times, window.start) - 1, 0) : bisect_left(times, window.end) + 1])
-    near = [*([] if near and near[0] <= window.start else [window.start]), *near]
-    near = [*near, *([] if near[-1] >= window.end else [window.end])]
+    near = times[max(bisect_right(times, window.start) - 1, 0) : bisect_left(times, window.end) + 1]
+    first = () if len(near) and near[0] <= window.start else (window.start,)
+    last = () if len(near) and near[-1] >= window.end else (window.end,)
     return sum(
         min(later - sooner - period, min(later, window.end) - max(sooner, window.start))
-        for sooner, later in pairwise(near)
+        for sooner, later in pairwise(chain(first, near, last))
         if later - sooner > _OVERDUE_PERIODS * period
     )
 
@@ -273,7 +274,7 @@ def sufficient(series: Series, window: Window, rate: float) -> Series:
 
 def jitter_of(times: Sequence[float]) -> Jitter | None:
     """Return how far the times between samples (s) are from their median; None for fewer than two samples."""
-    intervals = sorted(later - sooner for sooner, later in pairwise(times))
+    intervals = array("d", sorted(later - sooner for sooner, later in pairwise(times)))
     if not intervals:
         return None
     count = len(intervals)

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+from array import array
 from bisect import bisect_left, bisect_right
-from collections.abc import Sequence
+from collections.abc import MutableSequence, Sequence
 from dataclasses import dataclass
 from itertools import groupby, islice, pairwise
 from operator import itemgetter, le
@@ -69,7 +70,7 @@ def cut(series: Series, window: Window, *, reach: float = 0.0) -> Series:
         [5.0, 10.0, 15.0]
     """
     seen = within(series.times, window)
-    times, values = list(series.times[seen]), list(series.values[seen])
+    times, values = _copied(series.times[seen]), _copied(series.values[seen])
     if not times or times[0] > window.start:
         first = _value_at(series, window.start, reach)
         if first is not None:
@@ -81,6 +82,11 @@ def cut(series: Series, window: Window, *, reach: float = 0.0) -> Series:
             times.append(window.end)
             values.append(last)
     return Series(times, values)
+
+
+def _copied(part: Sequence[float]) -> MutableSequence[float]:
+    """Return a list, or the array that a part of one is: a mission of hours has millions of samples."""
+    return part if isinstance(part, array) and part.typecode == "d" else list(part)
 
 
 def _value_at(series: Series, time: float, reach: float) -> float | None:

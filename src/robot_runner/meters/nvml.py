@@ -149,10 +149,11 @@ class Nvml(PolledProfiler[tuple[GpuReading, ...]]):
     def __init__(self, *, name: str | None = None, gpus: Sequence[int] | None = None, rate_hz: float = 10.0) -> None:
         super().__init__(name=name, rate_hz=rate_hz)
         check_list(self.name, gpus=() if gpus is None else gpus)
-        self.gpus = None if gpus is None else tuple(dict.fromkeys(gpus))
-        if self.gpus is not None and not (self.gpus and all(map(_is_index, self.gpus))):
+        chosen = None if gpus is None else tuple(gpus)
+        if chosen is not None and not (chosen and all(map(_is_index, chosen))):
             fix = "Give whole numbers from 0, or leave gpus out for all."
-            raise PluginError(f"gpus is {list(self.gpus)!r}", where=self.name, fix=fix)
+            raise PluginError(f"gpus is {list(chosen)!r}", where=self.name, fix=fix)
+        self.gpus = None if chosen is None else tuple(dict.fromkeys(chosen))
         self._names: list[str] = []
 
     def check(self, circumstances: Circumstances) -> Iterable[Finding]:

@@ -63,7 +63,8 @@ class Viewer:
     async def get(self) -> bytes:
         """Return all waiting messages; if none came for a while, one that says that this server is there."""
         try:
-            first = await asyncio.wait_for(self._messages.get(), _KEEP_ALIVE)
+            async with asyncio.timeout(_KEEP_ALIVE):
+                first = await self._messages.get()
         except TimeoutError:
             return _event("here", {})
         rest = [self._messages.get_nowait() for _ in range(self._messages.qsize())]
@@ -232,4 +233,6 @@ async def _left(receive: Receive) -> None:
 async def _send_all(viewer: Viewer, send: Send) -> None:
     while True:
         body = await viewer.get()
-        await asyncio.wait_for(send({"type": "http.response.body", "body": body, "more_body": True}), _DEAD)
+        # Not `wait_for`: that of Python 3.11 swallows a cancellation that comes as it ends.
+        async with asyncio.timeout(_DEAD):
+            await send({"type": "http.response.body", "body": body, "more_body": True})

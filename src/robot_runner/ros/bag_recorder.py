@@ -23,9 +23,11 @@ from robot_runner.ros.graph_transport import until
 #: The program that records and plays messages of each generation of ROS.
 PROGRAMS = {Encoding.ROS1: "rosbag", Encoding.CDR: "ros2"}
 
-#: How long a recorder may take to begin, to finish its bag, and to send it from the robot, s: a bag of a mission has
-#: some 20 MB, and Wi-Fi may carry less than 1 MB/s.
-_STARTUP, _GRACE, _FETCH = 15.0, 30.0, 600.0
+#: How long a recorder may take to begin, and to finish its bag, s.
+_STARTUP, _GRACE = 15.0, 30.0
+#: For how long nothing may arrive of a bag that is fetched, s. All of it may take hours: Wi-Fi may carry less than
+#: 1 MB/s, and a mission of a day leaves tens of GB.
+_SILENCE = 120.0
 #: How long ssh may take to end once all is unpacked, s; it does not where what it sends is no longer taken.
 _ENDING = 5.0
 #: How long a publisher takes to connect to a subscription that the graph knows, s: tenths, over Wi-Fi.
@@ -167,20 +169,42 @@ def _unpacked(command: Sequence[str], folder: Path) -> str | None:
     """Unpack the archive that a host writes, as it comes, since a bag may be large; return what went wrong."""
     with tempfile.TemporaryFile() as said, _started(command, said) as sent:
         unpacking = ["sh", "-c", f'{_PASS_LOGIN}; exec tar -C "$1" -xof - --no-same-permissions', "sh", str(folder)]
+        with subprocess.Popen(  # noqa: S603  # an argument list
+            unpacking, stdin=sent.stdout, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE
+        ) as tar:
+            try:
+                refused = _last_words(tar, folder)
+            except BaseException as error:  # also where the run ends now
+                sent.kill()  # before its output is closed, so that it does not complain of that
+                tar.kill()
+                if isinstance(error, subprocess.TimeoutExpired):
+                    return f"the bag could not be fetched: nothing came for {_SILENCE:g} s"
+                raise
         try:
-            unpacked = subprocess.run(  # noqa: S603  # an argument list
-                unpacking, stdin=sent.stdout, capture_output=True, timeout=_FETCH, check=False
-            )
             sent.wait(_ENDING)
-        except subprocess.TimeoutExpired as error:
-            sent.kill()  # before its output is closed, so that it does not complain of that
-            if error.cmd == unpacking:
-                return f"the bag could not be fetched within {_FETCH:g} s"
+        except subprocess.TimeoutExpired:
+            sent.kill()
         said.seek(0)
-        complaint = said.read() if (sent.wait() or 0) > 0 else unpacked.stderr if unpacked.returncode else None
+        complaint = said.read() if (sent.wait() or 0) > 0 else refused if tar.returncode else None
     if complaint is None:
         return None
     return f"the bag could not be fetched: {complaint.decode(errors='replace').strip()[-200:]}"
+
+
+def _last_words(tar: subprocess.Popen[bytes], folder: Path) -> bytes:
+    """Return what it complained of, once it has ended; let it time out only while the folder does not grow."""
+    arrived = _size(folder)
+    while True:
+        try:
+            return tar.communicate(timeout=_SILENCE)[1]
+        except subprocess.TimeoutExpired:
+            before, arrived = arrived, _size(folder)
+            if arrived == before:
+                raise
+
+
+def _size(folder: Path) -> int:
+    return sum(path.lstat().st_size for path in folder.rglob("*"))
 
 
 def _started(command: Sequence[str], said: IO[bytes]) -> subprocess.Popen[bytes]:

@@ -3,14 +3,18 @@ from __future__ import annotations
 import csv
 import json
 import time
+import tracemalloc
 
 import pytest
 from tests.meters.rehearsed import problems
-from tests.meters.scripted_meter import ScriptedMeter, frame, hello
+from tests.meters.scripted_meter import NOISE, ScriptedMeter, frame, hello, sample
 
 from robot_runner.core.errors import LinkError, PluginError
 from robot_runner.core.events.measure import Origin
+from robot_runner.core.events.window import Window
+from robot_runner.meters.ina219.line_meter import LineMeter, SharedLine
 from robot_runner.meters.ina219.registers import Calibration
+from robot_runner.meters.ina219.sample_stream import SampleStream
 from robot_runner.plugins import Circumstances
 from robot_runner.plugins.profilers import Ina219
 from robot_runner.testing import Chunk, FakeClock, FakeLinks, FakeSerialLine, ProfilerContract, make_context, rehearse
@@ -212,3 +216,76 @@ def test_a_run_of_19000_samples_is_evaluated_without_numpy_in_no_time(measure):
     context = measure(chunks, seconds=95.0)
     assert context.measures["Energy"] == pytest.approx(8.0 * 95.0, rel=1e-3)
     assert time.process_time() - begun < 5.0  # a guard against a quadratic slip, not a benchmark
+
+
+@pytest.mark.long
+def test_a_sample_that_waits_on_the_line_takes_little_more_than_its_bytes(clock):
+    """An object for each took ten times as much, and those of ten hours more memory than a laptop has."""
+    count = 20_000
+    line = TrickledLine(clock, count)
+    shared = SharedLine(line)
+    tracemalloc.start()
+    try:
+        while line.sent < count:
+            clock.sleep(0.5)
+            shared.latest()
+        kept = tracemalloc.get_traced_memory()[0]
+    finally:
+        tracemalloc.stop()
+    assert kept < 50 * count
+    assert [chunk.received_at for chunk in shared.since(count - 2)] == [(count - 2) / 200, (count - 1) / 200]
+    assert len(shared.since(0)) < count, "all at once"
+
+
+def test_samples_that_come_while_those_of_hours_are_decoded_are_taken(clock):
+    """The wait for the sample behind the end was over before they were decoded."""
+
+    class SlowStream(SampleStream):
+        def take(self, chunks):
+            super().take(chunks)
+            clock.sleep(30.0)
+
+    line = TrickledLine(clock, 4000)
+    meter = LineMeter(SharedLine(line), clock)
+    meter.begin()
+    meter._stream = SlowStream()
+    meter._taken = 0
+    clock.sleep(10.0)
+    line.is_held_up = True  # until all that came before is decoded
+    meter.end()
+    assert meter.evaluate(None).quality.is_bracketed
+
+
+def test_a_phase_is_evaluated_alike_before_the_whole_mission_and_after_it(clock):
+    line = TrickledLine(clock, 400)
+    meter = LineMeter(SharedLine(line), clock)
+    clock.sleep(1.2)
+    meter._take()
+    line.sent += 1  # this one is lost
+    clock.sleep(1.8)
+    meter._take()
+    mission, phase = Window(0.0, 2.0), Window(1.0, 1.5)
+    before, whole, behind = meter.evaluate(mission, phase), meter.evaluate(mission), meter.evaluate(mission, phase)
+    assert before == behind
+    assert (before.window, whole.window) == (phase, mission)
+    assert (before.quality.got, whole.quality.got) == (100, 399)
+
+
+class TrickledLine:
+    """A line on which 200 samples a second arrive as the clock goes; `sent` of them so far."""
+
+    is_simulated = False
+
+    def __init__(self, clock, count):
+        self.clock, self.count, self.sent, self.is_held_up = clock, count, 0, False
+
+    def drain(self):
+        if self.is_held_up:
+            self.is_held_up = False
+            return []
+        chunks = []
+        while self.sent < self.count and self.sent / 200 <= self.clock.now():
+            noise = NOISE[self.sent % 4]
+            chunks.append(Chunk(self.sent / 200, sample(self.sent, self.sent * 5000, 6130 + noise)))
+            self.sent += 1
+        return chunks

@@ -168,7 +168,7 @@ class CardMeter:
         self._before = _state(self._file)
         self._start = clock.now()
         self._window: Window | None = None
-        self._found: tuple[CardRecording, Window] | None = None
+        self._found: Evaluation | None = None  # over the marked span
 
     def begin(self) -> None:
         """Begin the window on the run's clock, which is only compared with that of the mark."""
@@ -193,10 +193,9 @@ class CardMeter:
             newest = read_card(self._file, address=self._address)[-1]
             if not newest.marked:
                 raise LinkError("the newest recording has no mark", where=str(self._file), fix=_MARK)
-            self._found = newest, newest.marked[-1]
-        recording, marked = self._found
-        wanted = _moved(part, window, marked) if part and window else marked
-        evaluation = recording.evaluate(wanted, shunt_ohm=self._shunt_ohm, rate_hz=self._rate_hz)
+            self._found = newest.evaluate(newest.marked[-1], shunt_ohm=self._shunt_ohm, rate_hz=self._rate_hz)
+        marked = self._found.window
+        evaluation = self._found.over(_moved(part, window, marked)) if part and window else self._found
         details = {**evaluation.details, "clock": "the device's, from the recording's first sample"}
         doubts = (*evaluation.doubts, *self._doubts(marked, window or self._window))
         return replace(evaluation, doubts=doubts, details=details)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from array import array
 from dataclasses import replace
 from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
@@ -10,13 +11,14 @@ from robot_runner.core.errors import LinkError
 from robot_runner.core.events.context import Clock
 from robot_runner.core.events.early_end import undivided
 from robot_runner.core.events.window import Window
+from robot_runner.measuring.serial_line import Chunk
 from robot_runner.meters.ina219.doubts import silence
 from robot_runner.meters.ina219.frames import FIRST_SENSOR, FrameDecoder, SampleFrame
 from robot_runner.meters.ina219.registers import DEFAULT_SHUNT, Calibration, Evaluation, evaluate_registers
 from robot_runner.meters.ina219.sample_stream import SampleStream
 
 if TYPE_CHECKING:
-    from robot_runner.measuring.serial_line import Chunk, SerialLine
+    from robot_runner.measuring.serial_line import SerialLine
 
 
 class Meter(Protocol):
@@ -75,11 +77,13 @@ _AFTERMATH = 0.03
 #: The longest wait for it, s, as a busy machine delivers bytes late.
 _LONGEST_AFTERMATH = 0.5
 #: How much is decoded for the current power: a bridge delivers a few samples at a time, of 16 bytes each.
-_LATEST_CHUNKS, _LATEST_BYTES = 8, 256
+_LATEST_BYTES = 256
+#: How many chunks are decoded at a time: those of ten hours take gigabytes as objects.
+_AT_ONCE = 1 << 14
 
 
 class SharedLine:
-    """One line for the profilers of several sensors: it keeps all bytes for each of them.
+    """One line for the profilers of several sensors: it keeps all bytes for each of them, without an object for each.
 
     Args:
         line: to the device; the caller closes it.
@@ -87,7 +91,9 @@ class SharedLine:
 
     def __init__(self, line: SerialLine) -> None:
         self._line = line
-        self._chunks: list[Chunk] = []
+        self._data = bytearray()
+        self._arrivals = array("d")
+        self._ends = array("Q")  # of each chunk, in the data
         self._lock = threading.Lock()  # live displays read in their own thread
 
     @property
@@ -96,20 +102,30 @@ class SharedLine:
         return self._line.is_simulated
 
     def since(self, count: int) -> list[Chunk]:
-        """Return the chunks after the first `count`; a `LinkError` says that the line was lost, and there are none."""
+        """Return the next chunks after the first `count`, `_AT_ONCE` at most, and fewer only where these are all.
+
+        Raises:
+            LinkError: the line was lost, and there are none.
+        """
         with self._lock:
             try:
                 with undivided:  # what was taken from the line is kept, also where the mission ends now
-                    self._chunks += self._line.drain()
+                    for chunk in self._line.drain():
+                        self._data += chunk.data
+                        self._arrivals.append(chunk.received_at)
+                        self._ends.append(len(self._data))
             except LinkError:
-                if count == len(self._chunks):
+                if count == len(self._ends):
                     raise
-            return self._chunks[count:]
+            arrivals, ends = self._arrivals[count : count + _AT_ONCE], self._ends[count : count + _AT_ONCE]
+            begins = [self._ends[count - 1] if count else 0, *ends]
+            pieces = (bytes(self._data[begin:end]) for begin, end in zip(begins, ends, strict=False))
+            return list(map(Chunk, arrivals, pieces))
 
     def latest(self) -> bytes:
         """Return the last bytes that arrived, enough for a few samples; a `LinkError` as of `since`."""
-        self.since(len(self._chunks))
-        return b"".join(chunk.data for chunk in self._chunks[-_LATEST_CHUNKS:])[-_LATEST_BYTES:]
+        self.since(len(self._ends))
+        return bytes(self._data[-_LATEST_BYTES:])
 
     def close(self) -> None:
         """Do nothing."""
@@ -146,6 +162,7 @@ class LineMeter:
         self._start = clock.now()
         self._opened = clock.now()
         self._sampled: Window | None = None
+        self._whole: Evaluation | None = None  # over the run's window
 
     def begin(self) -> None:
         """Wait for a first sample, at most for a few seconds; a `LinkError` says that the line was lost."""
@@ -180,26 +197,36 @@ class LineMeter:
             self._stream.finish()
 
     def _take(self) -> None:
-        chunks = self._line.since(self._taken)
-        self._taken += len(chunks)
-        self._stream.take(chunks)
+        is_all = False
+        while not is_all:
+            chunks = self._line.since(self._taken)
+            self._taken += len(chunks)
+            self._stream.take(chunks)
+            is_all = len(chunks) < _AT_ONCE
 
     def _take_the_rest(self, end: float) -> None:
-        deadline = self._clock.now() + _LONGEST_AFTERMATH
-        while self._clock.now() < deadline:
+        deadline: float | None = None
+        while deadline is None or self._clock.now() < deadline:
             self._clock.sleep(_AFTERMATH)
             self._take()
             times = self._stream.times()
             if times and times[-1] >= end:
                 return
+            # Only now: decoding those of a mission of hours has taken a minute, in which others came.
+            deadline = deadline or self._clock.now() + _LONGEST_AFTERMATH
 
     def evaluate(self, window: Window | None, part: Window | None = None) -> Evaluation:
         """Return the evaluated samples of a window; None stands for the time from `begin` to `end`, or until now."""
+        if part is None or self._whole is None:
+            self._whole = self._evaluate(window)
+        return self._whole if part is None else self._whole.over(part)
+
+    def _evaluate(self, window: Window | None) -> Evaluation:
         sampled = self._sampled or Window(self._start, self._clock.now())
         evaluation = evaluate_registers(
             self._stream,
             self._stream.times(),
-            part or window or sampled,
+            window or sampled,
             shunt_ohm=self._shunt_ohm,
             rate_hz=self._rate_hz,
             is_simulated=self._line.is_simulated,

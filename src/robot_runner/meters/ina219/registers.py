@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from array import array
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from operator import mul
 from pathlib import Path
 from typing import Any
@@ -48,7 +48,7 @@ class Calibration:
     def currents(self, shunt_raw: Iterable[int]) -> array[float]:
         """Return `current` of many registers."""
         step = SHUNT_VOLT_PER_STEP / self.shunt_ohm
-        return array("d", [each * step for each in shunt_raw])
+        return array("d", (each * step for each in shunt_raw))
 
     def voltage(self, bus_raw: int) -> float:
         """Return the bus voltage after the shunt in volts; the register's flags (bits 2 to 0) are ignored."""
@@ -56,7 +56,7 @@ class Calibration:
 
     def voltages(self, bus_raw: Iterable[int]) -> array[float]:
         """Return `voltage` of many registers."""
-        return array("d", [(each >> _BUS_SHIFT) * BUS_VOLT_PER_STEP for each in bus_raw])
+        return array("d", ((each >> _BUS_SHIFT) * BUS_VOLT_PER_STEP for each in bus_raw))
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,6 +121,10 @@ class Evaluation:
     is_simulated: bool = False
     sampled: Window | None = None
     limits: tuple[float, float] | None = None
+
+    def over(self, part: Window) -> Evaluation:
+        """Return the same samples, to be evaluated over another window; doubts stay those of the whole one."""
+        return replace(self, window=part, quality=quality_of(self.power.times, part, 1 / self.quality.period))
 
     def values(self) -> Mapping[str, float | None]:
         """Return energy (J), energy as P x t (J) and mean power (W); all None if samples cover too little."""

@@ -9,11 +9,11 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
-from itertools import accumulate, groupby
+from itertools import accumulate, groupby, pairwise
 from operator import le, sub
 from typing import TYPE_CHECKING
 
-from robot_runner.measuring.device_clock import fit_clock
+from robot_runner.measuring.device_clock import fit_bent_clock
 from robot_runner.meters.ina219.frames import (
     FIRST_SENSOR,
     SAMPLE_BYTES,
@@ -204,14 +204,15 @@ class SampleStream:
             if begin == end:
                 continue
             stamps = self.device_seconds[begin:end]
-            clock = fit_clock(stamps, self._received[begin:end], largest_skew=_LARGEST_SKEW)
-            self.drift = max(self.drift, clock.drift, key=abs)
-            moments = clock.all_to_run(stamps)
-            if lag := self.lag:
-                moments = [round(moment - lag, _DIGITS) for moment in moments]
-            if times and moments[0] < times[-1]:  # the clocks of two lives overlap
-                moments = [max(moment, times[-1]) for moment in moments]
-            times.extend(moments)
+            clocks = fit_bent_clock(stamps, self._received[begin:end], largest_skew=_LARGEST_SKEW)
+            for (first, clock), (last, _) in pairwise([*clocks, (len(stamps), clocks[-1][1])]):
+                self.drift = max(self.drift, clock.drift, key=abs)
+                moments = clock.all_to_run(stamps[first:last])
+                if lag := self.lag:
+                    moments = [round(moment - lag, _DIGITS) for moment in moments]
+                if times and moments and moments[0] < times[-1]:  # the clocks of two lives overlap
+                    moments = [max(moment, times[-1]) for moment in moments]
+                times.extend(moments)
         return times
 
     def _add(self, frames: Iterable[Frame], received_at: float) -> None:
