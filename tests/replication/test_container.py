@@ -36,6 +36,16 @@ def test_the_base_is_that_of_the_ros_or_of_the_python(manifest, base):
     assert "No digest of the base image was known" in recipe
 
 
+def test_an_image_that_clones_revisions_has_git():
+    assert "git" not in _recipe(robot="simulated")
+    lines = _recipe(robot="simulated", revisions={"Version": {"v1.0": {"commit": "1a2b3c4d"}}}).splitlines()
+    place = lines.index("WORKDIR /experiment")
+    assert lines[place - 3 : place - 1] == [
+        "# The commits that were compared are cloned by git.",
+        "RUN command -v git || (apt-get update && apt-get install -y --no-install-recommends git \\",
+    ]
+
+
 def test_what_compares_stands_apart_unless_the_experiment_needs_it_anyway():
     apart = _recipe(robot="simulated")
     assert "/opt/comparison/bin/pip install --no-cache-dir ${PIP_OPTIONS} --find-links environment/wheels" in apart

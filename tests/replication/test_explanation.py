@@ -271,6 +271,24 @@ def test_a_config_that_is_its_own_base_or_nested_beyond_measure_is_explained_all
     assert found.of_method("start_run").startswith("config/a.py:3  ")
 
 
+def test_the_machine_of_a_worker_is_told_of_each_run_there_as_it_was_then(tmp_path):
+    """It is told with the first run at a worker, and again with the first one after that has joined anew."""
+    folder = two_tasks(tmp_path / "made", (1.0, 2.0), (3.0, 4.0), name="made")
+    with Journal(folder.files.journal) as journal:
+        for run, place, cores in (("r_1", "pi", 4), ("r_2", "nuc", 8), ("r_3", "pi", None), ("r_4", "pi", 2)):
+            journal.append("attempt_started", run=run, attempt=2, place=place, slot=0)
+            if cores:
+                journal.append("machine", run=run, attempt=2, place=place, host={"processor": "A", "cores": cores})
+        journal.append("excluded", run="r_1", reason="a cable was loose")
+    told = [dict(explain_run(folder.root, run).facts)["Host"].split(", directed")[0] for run in ("r_1", "r_2", "r_3")]
+    assert told == [
+        "worker pi of a cluster (A, 4 cores)",
+        "worker nuc of a cluster (A, 8 cores)",
+        "worker pi of a cluster (A, 4 cores)",
+    ]
+    assert "A, 2 cores" in dict(explain_run(folder.root, "r_4").facts)["Host"]
+
+
 @pytest.mark.parametrize(
     ("where", "manifest", "robot", "host"),
     [

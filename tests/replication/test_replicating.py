@@ -21,6 +21,7 @@ from robot_runner.core.errors import ConfigError, PackageError
 from robot_runner.core.execution.notices import SilentObserver
 from robot_runner.core.execution.orchestrator import execute_experiment
 from robot_runner.core.execution.resumption import Resumption
+from robot_runner.core.execution.systems_state import SystemsFile
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.manifest import read_manifest
 from robot_runner.core.storage.run_table_reading import read_run_table
@@ -101,6 +102,19 @@ def _change(path, change):
     facts = json.loads(path.read_text("utf-8"))
     change(facts)
     path.write_text(json.dumps(facts), encoding="utf-8")
+
+
+@pytest.mark.long
+def test_what_a_killed_replication_has_left_is_seen_to_as_soon_as_its_config_is_known(
+    replicated, tmp_path, monkeypatch
+):
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    (tmp_path / "small").mkdir()
+    file = SystemsFile(ExperimentFolder(tmp_path / "small"))
+    file.begin("simulated", {"run_id": "r_1"})
+    findings = prepare_replication(replicated[0], tmp_path, {}).findings
+    assert any("an earlier execution was killed in r_1 (simulated)" in each.problem for each in findings)
+    assert file.left() is None
 
 
 def test_the_same_runs_from_a_seed_that_was_drawn_yield_the_same_values(replicated):

@@ -232,7 +232,7 @@ def test_what_is_no_package_is_refused(tmp_path):
     with zipfile.ZipFile(buffer, "w") as archive:
         archive.writestr("a.txt", "a")
     (tmp_path / "other.zip").write_bytes(buffer.getvalue())
-    assert "not made by" in _refusal(tmp_path / "other.zip").problem
+    assert "not a package" in _refusal(tmp_path / "other.zip").problem
     assert "no such file" in _refusal(tmp_path / "nowhere.zip").problem
     (tmp_path / "empty").mkdir()
     assert "not a package" in _refusal(tmp_path / "empty").problem

@@ -13,7 +13,7 @@ from robot_runner.core.errors import Finding, nearest
 from robot_runner.core.storage.manifest import last_execution
 from robot_runner.core.words import listed, shown_commit
 from robot_runner.replication.container import container_commands
-from robot_runner.replication.contents import CRATE, DESCRIBED, LICENCE, SUMS, LeftOut
+from robot_runner.replication.contents import CRATE, DESCRIBED, LICENCE, SUMS, WHEELS, LeftOut
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,6 +116,14 @@ A replication package of an experiment {came_about}.
 {rows}
 """
 _REPLICATING = """\
+Where `robot-runner` is missing, install it, called in the folder that the package was unpacked to:
+
+```console
+$ python3 -m venv "$HOME/robot-runner"
+$ "$HOME/robot-runner/bin/pip" install {ours}
+$ export PATH="$HOME/robot-runner/bin:$PATH"
+```
+
 Nothing of the package is executed before it has been verified and you have said yes.
 
 ```console
@@ -180,11 +188,20 @@ def readme(about: About, manifest: Mapping[str, Any], names: Sequence[str], left
         name=about.name,
         came_about=_came_about(manifest),
         facts="\n".join(f"- {what}: {text}" for what, text in facts.items() if text),
-        replicating=_REPLICATING.format(commands=commands) if "config/" in present else _NO_CONFIG,
+        replicating=_REPLICATING.format(commands=commands, ours=_ours(manifest, names))
+        if "config/" in present
+        else _NO_CONFIG,
         rows="\n".join(_inventory(present)),
     )
     items = "\n".join(f"- `{each.name}`: {each.why}" for each in left_out)
     return text + (_NOT_IN_IT.format(items=items) if items else "")
+
+
+def _ours(manifest: Mapping[str, Any], names: Sequence[str]) -> str:
+    """Return what pip installs Robot Runner from: the wheel in the package, or else the executed version's name."""
+    version = (manifest.get("software") or {}).get("robot_runner")
+    named = f"robot-runner=={version}" if version else "robot-runner"
+    return next((name for name in names if name.startswith(f"{WHEELS}/robot_runner-")), named)
 
 
 def _inventory(present: Collection[str]) -> Iterator[str]:

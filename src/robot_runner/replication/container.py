@@ -21,7 +21,7 @@ _CONTAINERFILE = """\
 # exit code 0 identical or equivalent, 3 different, 4 undecided, 1 some run failed.
 # In this folder, `podman build .` makes it, or the same words with docker or buildah.
 {pin}
-{base}
+{base}{git}
 WORKDIR /experiment
 COPY environment environment
 ARG PIP_OPTIONS=""
@@ -34,6 +34,11 @@ VOLUME /results
 ENTRYPOINT ["{program}"]
 CMD ["replicate", "original", "--to", "/results/replication", "--environment", "{environment}", "--yes"]
 """
+#: Revisions are repositories in the package. The official image of Python has no git.
+_GIT = """
+# The commits that were compared are cloned by git.
+RUN command -v git || (apt-get update && apt-get install -y --no-install-recommends git \\
+ && rm -rf /var/lib/apt/lists/*)"""
 #: Separate from the environment of the experiment, so that no version there changes.
 _COMPARISON = """\
 # What compares the results stands apart, so that it changes no version of what executes the experiment.
@@ -119,6 +124,7 @@ def containerfile(
         name=one_line(str(manifest.get("experiment_name", "experiment"))),
         pin=_PINNED if is_pinned(str(facts["image"])) else _NOT_PINNED,
         base=base.format(**facts),
+        git=_GIT if manifest.get("revisions") else "",
         alone=" --no-deps" if demands_hashes else "",
         links=links,
         comparison="" if has_comparison else apart,

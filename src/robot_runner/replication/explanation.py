@@ -253,8 +253,9 @@ class _Explaining:
 
     @property
     def _worker(self) -> str:
-        """The worker of a cluster that executed the run, on a machine that the manifest does not describe."""
-        return f"worker {self._history.place} of a cluster" if self._history.is_elsewhere else ""
+        """The worker of a cluster that executed the run, and its machine."""
+        machine = f" ({self._history.machine})" if self._history.machine else ""
+        return f"worker {self._history.place} of a cluster{machine}" if self._history.is_elsewhere else ""
 
     def _system(self) -> str:
         software = _mapping(self._manifest.get("software"))

@@ -10,11 +10,11 @@ import stat
 import struct
 import zipfile
 import zlib
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
 from robot_runner.core.errors import Finding, PackageError
 from robot_runner.core.execution.interruption import stop_signals_handled
@@ -98,6 +98,16 @@ class _BoundedReads(io.FileIO):
         if wanted > LARGEST_DIRECTORY:
             raise zipfile.BadZipFile(f"its directory has more than {LARGEST_DIRECTORY:,} bytes")
         return super().read(size)
+
+    def seek(self, place: int, whence: int = os.SEEK_SET, /) -> int:
+        """Go to a place in the file.
+
+        Raises:
+            zipfile.BadZipFile: a number in the zip file names a place before the beginning of the file.
+        """
+        if whence == os.SEEK_SET and place < 0:
+            raise zipfile.BadZipFile("it names a place outside of itself")
+        return super().seek(place, whence)
 
 
 def unpack(package: OpenPackage, target: Path, progress: Progress = lambda _, __: None) -> None:
@@ -184,12 +194,24 @@ def _zipped(path: Path, archive: zipfile.ZipFile) -> OpenPackage:
         # If the end is cut off, the last directory in the file may be that of a wheel in the package.
         problem = "the zip file's end is missing, or something stands before its beginning"
         raise PackageError(problem, where=str(path), fix=_GET_IT_AGAIN)
-    sizes = {entry.filename: entry.file_size for entry in entries if not entry.is_dir()}
-    if DESCRIPTION not in sizes:
-        problem = f"the zip file has no {DESCRIPTION}: it was not made by `robot-runner pack`"
-        raise PackageError(problem, where=str(path), fix="Name a package.")
+    listed = {entry.filename: entry.file_size for entry in entries if _is_told(entry)}
+    around = _folder_around(listed)
+    sizes = {name.removeprefix(around): size for name, size in listed.items()}
     faults = [*_entry_faults(path, entries), *_layout_faults(path, entries), *_header_faults(path, entries)]
-    return OpenPackage(path, sizes, tuple(faults), partial(_blocks_of_entry, path, archive))
+    return OpenPackage(path, sizes, tuple(faults), lambda name: _blocks_of_entry(path, archive, f"{around}{name}"))
+
+
+def _is_told(entry: zipfile.ZipInfo) -> bool:
+    """Return whether an entry is a file, but for what Finder adds to each zip file, and desktops to folders."""
+    return not (
+        entry.is_dir() or entry.filename.startswith("__MACOSX/") or PurePosixPath(entry.filename).name in DESKTOP_FILES
+    )
+
+
+def _folder_around(names: Collection[str]) -> str:
+    """Return the folder that all files are in, if it has a package: as where an unpacked one was zipped again."""
+    around = f"{next(iter(names), '').partition('/')[0]}/"
+    return around if f"{around}{DESCRIPTION}" in names and all(name.startswith(around) for name in names) else ""
 
 
 def _blocks_of_entry(path: Path, archive: zipfile.ZipFile, name: str) -> Iterator[bytes]:

@@ -15,6 +15,7 @@ from robot_runner.core.config.treatment_makers import known_treatments, treatmen
 from robot_runner.core.design.batches import EXTENDED, REPEATED, records_of
 from robot_runner.core.errors import ConfigError, Finding, PackageError
 from robot_runner.core.execution.given_values import given_elsewhere
+from robot_runner.core.execution.left_systems import see_to_it_first
 from robot_runner.core.execution.recovered_table import with_later_batches
 from robot_runner.core.execution.resumption import table_differences
 from robot_runner.core.secret_names import REDACTED, hidden_settings, is_same_setting, shown_settings
@@ -190,7 +191,7 @@ def prepare_replication(root: Path, target: Path, deviations: Mapping[str, str])
     facts = _facts(files, manifest, deviations)
     seed = seed_known(int(manifest["seed"]), is_given=bool(manifest.get("seed_is_given")))
     with runs_listed_in(files.run_table), treatments_known(facts["treatments"]), seed:
-        preparation = prepare(config, settings)
+        preparation = prepare(config, settings, first=see_to_it_first)
     absent = list(missing_inputs(files.config))
     if preparation.experiment is None:
         raise ConfigError.of_findings([*preparation.findings, *absent])

@@ -10,10 +10,13 @@ from typing import Any, Self
 from robot_runner.core.events.measure import Origin
 from robot_runner.core.storage.executed_runs import EXCLUSION_KINDS, ExcludedRuns, change_in_words
 from robot_runner.core.storage.journal import read_journal
+from robot_runner.core.storage.manifest import host_in_words
 from robot_runner.core.words import shown_commit, shown_duration
 
 #: The record of an execution, which applies to the runs after it.
 _OF_EXECUTION = "experiment_started"
+#: The record of the machine of a worker of a cluster.
+_OF_PLACE = "machine"
 
 
 @dataclass(slots=True)
@@ -25,6 +28,7 @@ class RunHistory:
         started_at, finished_at: of the last attempt (UTC).
         place: where the last attempt was executed; empty if there was only one place.
         is_elsewhere: whether that place is a worker of a cluster.
+        machine: in words, what the machine of that worker is; empty where that is not known.
         measures: its published measures: a mapping with `value`, `owner`, `origin` for each.
         clocks: the times of its events, s on the run's clock.
         doubts: findings of the owners of measures about their samples, by owner.
@@ -50,6 +54,7 @@ class RunHistory:
     finished_at: str | None = None
     place: str = ""
     is_elsewhere: bool = False
+    machine: str = ""
     measures: dict[str, dict[str, Any]] = field(default_factory=dict)
     clocks: dict[str, float] = field(default_factory=dict)
     doubts: dict[str, list[str]] = field(default_factory=dict)
@@ -77,13 +82,18 @@ class RunHistory:
             StorageError: the journal cannot be read.
         """
         history = cls()
-        commit = ""
-        for record in read_journal(journal, kinds={*_TAKEN_BY, _OF_EXECUTION}):
+        commit, machines = "", dict[str, str]()
+        for record in read_journal(journal, kinds={*_TAKEN_BY, _OF_EXECUTION, _OF_PLACE}):
             if record["kind"] == _OF_EXECUTION:
                 commit = shown_commit(record.get("repository"))
+            elif record["kind"] == _OF_PLACE:  # told with the first run there
+                machines[record["place"]] = host_in_words(record["host"])
             elif record.get("run") == run_id:
                 _TAKEN_BY[record["kind"]](history, record)
                 history.commit = commit
+            # Later records of the run, such as of its exclusion, may come after another machine has joined there.
+            if record.get("run") == run_id and record["kind"] in {"attempt_started", _OF_PLACE}:
+                history.machine = machines.get(history.place, "") if history.is_elsewhere else ""
         return history
 
     def _begin(self, record: dict[str, Any]) -> None:

@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Iterator, Mapping
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from io import StringIO
+from itertools import chain
 from pathlib import Path
 from typing import Any, TypedDict
+from unicodedata import normalize
 
 from robot_runner.core.errors import Finding, PackageError
 from robot_runner.core.storage.declared_shapes import faults_of, parsed_json
@@ -16,6 +20,7 @@ from robot_runner.core.storage.file_shapes import Manifest
 from robot_runner.core.storage.guarded_files import JSON_LIMIT
 from robot_runner.core.storage.manifest import FORMAT as MANIFEST_FORMAT
 from robot_runner.core.storage.registration import checksum_of
+from robot_runner.core.words import counted, listed
 from robot_runner.replication import contents
 from robot_runner.replication.opening import OpenPackage
 from robot_runner.replication.plain_zip import Progress
@@ -156,9 +161,8 @@ def refuse_faults(verification: Verification) -> None:
 def _description(package: OpenPackage) -> Mapping[str, Any]:
     where = f"{package.where}, {contents.DESCRIPTION}"
     if contents.DESCRIPTION not in package.sizes:
-        fix = "Name a package; `robot-runner pack` makes one of an experiment's folder."
-        problem = f"this is not a package: it has no {contents.DESCRIPTION}"
-        raise PackageError(problem, where=str(package.where), fix=fix)
+        problem = f"this is not a package of `robot-runner pack`: it has no {contents.DESCRIPTION}"
+        raise PackageError(problem, where=str(package.where), fix=_way_to_a_package(package))
     try:
         found = parsed_json(_text(package, contents.DESCRIPTION, JSON_LIMIT))
     except (ValueError, RecursionError) as error:
@@ -171,6 +175,19 @@ def _description(package: OpenPackage) -> Mapping[str, Any]:
         )
         raise PackageError(problem, where=where, fix="Update robot-runner.")
     return found
+
+
+def _way_to_a_package(package: OpenPackage) -> str:
+    """Return what to do where there is no package: name the one that lies deeper in it, if there is one."""
+    sums = f"/{contents.SUMS}"
+    inside = [name.removesuffix(sums) for name in package.sizes if name.endswith((sums, ".zip"))]
+    is_folder = package.where.is_dir()
+    if not inside or (package.faults and not is_folder):  # such a zip file is not to be unpacked
+        return "Name a package; `robot-runner pack` makes one of an experiment's folder."
+    nearest = min(inside, key=lambda name: (name.count("/"), name))
+    if is_folder:
+        return f"Name what lies in it: {package.where / nearest}"
+    return f"Unpack it, and name what lies in it: {nearest}"
 
 
 def read_text_of(package: OpenPackage, name: str) -> str:
@@ -210,15 +227,40 @@ def _sums(package: OpenPackage) -> tuple[dict[str, str], list[Finding]]:
 
 
 def _differing_names(package: OpenPackage, sums: Mapping[str, str]) -> Iterator[Finding]:
-    for name in sorted(set(sums) - set(package.sizes)):
+    missing, added = set(sums) - set(package.sizes), set(package.sizes) - set(sums) - {contents.SUMS}
+    composed = {normalize("NFC", name): name for name in missing}
+    otherwise = {name: there for name in added if (there := composed.get(_as_packed(name)))}
+    added -= set(otherwise)
+    for name in sorted(otherwise.values()):
+        problem = "the name is written otherwise than when it was packed: another tool has copied or unpacked the file"
+        fix = "Name the zip file as it was published, or unpack that by `unzip` on this machine."
+        yield Finding.error(f"{package.where}, {name}", problem, fix)
+    for name in sorted(missing - set(otherwise.values())):
         yield Finding.error(f"{package.where}, {name}", "the file is missing", _ALTERED)
-    for name in sorted(set(package.sizes) - set(sums) - {contents.SUMS}):
-        problem = "the file is not part of the package"
-        yield Finding.error(f"{package.where}, {name}", problem, "Remove it, or get the package again.")
+    ours = {name.partition("/")[0] for name in sums}
+    tops = Counter(top for top, slash, _ in (name.partition("/") for name in added) if slash and top not in ours)
+    for top, count in sorted(tops.items()):
+        problem = f"the folder, of {counted(count, 'file')}, is not part of the package"
+        yield Finding.error(f"{package.where}, {top}", problem, "Remove it, or get the package again.")
+    for name in sorted(added):
+        if name.partition("/")[0] not in tops:
+            problem = "the file is not part of the package"
+            yield Finding.error(f"{package.where}, {name}", problem, "Remove it, or get the package again.")
+
+
+def _as_packed(name: str) -> str:
+    """Return a name in composed characters, as nearly all are: macOS may write an umlaut as two.
+
+    A tool that does not mark a name in a zip file as UTF-8 has it read in the characters of MS-DOS.
+    """
+    with suppress(UnicodeError):
+        name = name.encode("cp437").decode("utf-8")
+    return normalize("NFC", name)
 
 
 def _differing_contents(package: OpenPackage, sums: Mapping[str, str], progress: Progress) -> Iterator[Finding]:
     total, done = sum(package.sizes.values()), 0
+    with_other_ends = []
     for name in sorted(set(sums) & set(package.sizes)):
         if package.sizes[name] > _LARGEST.get(name, package.sizes[name]):  # refused before it is read
             problem = f"the file has {package.sizes[name]:,} bytes, more than any such file"
@@ -230,11 +272,31 @@ def _differing_contents(package: OpenPackage, sums: Mapping[str, str], progress:
                 digest.update(block)
                 done += len(block)
                 progress(min(done, total), total)
+            if digest.hexdigest() == sums[name]:
+                continue
+            if sums[name] in _sums_with_other_line_ends(package.blocks(name)):
+                with_other_ends.append(name)
+                continue
         except PackageError as error:
             yield error.as_finding()
             continue
-        if digest.hexdigest() != sums[name]:
-            yield Finding.error(f"{package.where}, {name}", "the file was altered: its SHA-256 differs", _ALTERED)
+        yield Finding.error(f"{package.where}, {name}", "the file was altered: its SHA-256 differs", _ALTERED)
+    if with_other_ends:
+        problem = "nothing differs but the line ends, which git (`core.autocrlf`) and editors change"
+        fix = "Get the zip file, or clone again: git clone -c core.autocrlf=false ..."
+        yield Finding.error(f"{package.where}, {listed(with_other_ends)}", problem, fix)
+
+
+def _sums_with_other_line_ends(blocks: Iterable[bytes]) -> tuple[str, str]:
+    """Return what the SHA-256 of a file would be if all lines ended in LF, and in CR LF."""
+    plain, marked, rest = hashlib.sha256(), hashlib.sha256(), b""
+    for block in chain(blocks, (b"",)):
+        text = rest + block
+        rest = text[-1:] if block and text.endswith(b"\r") else b""  # the next block may begin with its LF
+        text = text[: len(text) - len(rest)].replace(b"\r\n", b"\n")
+        plain.update(text)
+        marked.update(text.replace(b"\n", b"\r\n"))
+    return plain.hexdigest(), marked.hexdigest()
 
 
 def _mapping(package: OpenPackage, name: str, findings: list[Finding]) -> Mapping[str, Any]:

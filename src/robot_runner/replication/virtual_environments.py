@@ -60,8 +60,7 @@ def make_environment(root: Path, folder: Path, environment: Mapping[str, Any]) -
     if is_complete(folder):
         return program_in(folder)
     python, wanted = _python(environment), _wanted_python(environment)
-    own = "take your own environment: --environment here"
-    fix = f"Correct what is said there, or {own}."
+    fix = "Correct what is said there, or take your own environment: --environment here."
     asked = ["--find-links", str(root / WHEELS)] if (root / WHEELS).is_dir() else []
     if any("--hash=" in line.partition("#")[0] for line in read_text(root / REQUIREMENTS, root).splitlines()):
         # With hashes the list is complete. Pip before 23.3 refuses such a list if a package is needed with an extra
@@ -69,8 +68,8 @@ def make_environment(root: Path, folder: Path, environment: Mapping[str, Any]) -
         asked.append("--no-deps")
         fix += f" The first lines of {REQUIREMENTS} say for which Python and platforms its hashes are."
         if python == sys.executable and wanted not in {"", _OWN_PYTHON}:
-            problem = f"Its hashes are of files for Python {wanted}, and this is Python {_OWN_PYTHON}"
-            fix = f"{problem}: install that one, so that python{wanted} is found, or {own}."
+            fix += f" The hashes are of files for Python {wanted}, and this is Python {_OWN_PYTHON}: install that one, "
+            fix += f"so that python{wanted} is found, if it is files that do not fit."
     _make(folder, python, [*asked, "-r", str(root / REQUIREMENTS)], fix)
     return program_in(folder)
 
@@ -173,7 +172,9 @@ def _call(words: Sequence[str], log: Path, fix: str) -> None:
             raise PackageError(problem, where=str(log), fix="Look at what it wrote there.") from error
     if finished.returncode:
         lines = log.read_text(encoding="utf-8", errors="replace").splitlines()[-_SHOWN_LINES:]
-        said = " / ".join(line.strip() for line in lines if line.strip())
+        is_error = [line.lstrip().lower().startswith("error") for line in lines]
+        first = is_error.index(True) if any(is_error) else 0  # before it stands what pip did
+        said = " / ".join(line.strip() for line in lines[first:] if line.strip())
         raise PackageError(f"the environment cannot be made: {said}", where=str(log), fix=fix)
 
 
