@@ -150,7 +150,7 @@ def test_everything_that_refuses_a_meta_analysis_is_told_at_once(lab, tmp_path):
     copy_of_one = tmp_path / "copied"
     shutil.copytree(one, copy_of_one)
     with pytest.raises(AnalysisError) as caught:
-        meta_analyse(one, other, copy_of_one, measures=["Energy", "Enrgy"], same=["Video=Vidoe", "Task"])
+        meta_analyse(one, other, copy_of_one, measures=["Energy", "Enrgy"], same=["Video=Vidoe", "Task", "Nope=Nope"])
     told = " ".join(map(str, caught.value.findings))
     assert "copied: this is" in told
     assert "executed at the same times" in told
@@ -158,6 +158,7 @@ def test_everything_that_refuses_a_meta_analysis_is_told_at_once(lab, tmp_path):
     assert "no experiment has a measure 'Enrgy' → Did you mean 'Energy'?" in told
     assert "'Vidoe' → Did you mean 'Video'?" in told
     assert "'Task' names one name, not two" in told
+    assert "no experiment has a factor or a treatment 'Nope'" in told
 
 
 def test_an_experiment_is_no_replication_of_itself(lab):

@@ -67,6 +67,13 @@ def test_too_few_runs_decide_nothing(two_tasks):
     assert "suffice neither" in comparison.measure("Energy").conclusion
 
 
+@pytest.mark.parametrize(("many", "is_told"), [(9, True), (8, False)])
+def test_two_or_three_runs_beside_many_are_told(two_tasks, many, is_told):
+    first = two_tasks(tuple(870 + each * 37 % 11 for each in range(many)), NETWORK)
+    notes = compare(first.root, two_tasks(VIDEO[:3], NETWORK).root).notes
+    assert any(note.startswith("Video of ") and "3 runs, and others have 3 times" in note for note in notes) is is_told
+
+
 def test_the_runs_that_do_not_suffice_are_those_of_both(two_tasks):
     conclusion = compare(two_tasks().root, two_tasks(VIDEO[:3], NETWORK).root, bound=0.1).measure("Energy").conclusion
     assert "(5 and 3 runs a combination)" in conclusion

@@ -20,6 +20,10 @@ TASK = {"task": ["video", "audio", "idle"]}
 SPEED = {"speed": ["1", "2"]}
 PLANNER = {"planner": ["a", "b"]}
 MODES = TASK | {"mode": ["a", "b"]}
+MAPS = {"map": ["maze", "hall"]}
+AGENTS = {"agents": ["1", "2", "3", "4", "5"]}
+VERSIONS = [("2023.1.1", "rtx"), ("2024.1.0", "rtx"), ("2024.1.0", "a100")]
+SIGNS = [*product((-1, 1), repeat=3)]
 OUTCOMES = {"rep": "{rep}", "ok": "{truth}", "docked": "{other}"}
 
 
@@ -34,6 +38,7 @@ def made(heading, factors, repetitions=3, **cells):
         known = dict(zip(factors, treatments, strict=True))
         values = {"n": n, "c": c, "r": r, "x": 10 + (n * 37 % 101) / 7, "q": (n % 7 == 0) + (n % 11 == 0), **known}
         values |= {"one": n + 1, "rep": r + 1, "even": n % 2}
+        values |= {"likert": n * 37 % 11 % 5 + 1}
         values |= {"truth": str(n * 37 % 11 < 6).lower(), "other": str(n * 23 % 13 < 7).lower()}
         row = [known.get(name) or str(cells.get(name, "{x:.4f}")).format(**values) for name in heading.split(",")]
         lines.append(",".join(row))
@@ -384,6 +389,125 @@ SHAPES = {
         made("energy,speed [m/s],task", {"speed [m/s]": ["0.1", "0.2"]} | TASK),
         "F=speed [m/s]+task M=energy ?=speed [m/s]",
     ),
+    # Measured numbers that are as evenly distributed as planned ones, by chance or as they were rounded.
+    "a duration of two values, after a measure, in four rows": (
+        "planner,energy_J,duration_s\na,1.5,60\na,1.7,61\nb,2.5,60\nb,2.2,61\n",
+        "F=planner M=energy_J+duration_s",
+    ),
+    "a duration of two values, before a measure, in six rows": (
+        "planner,duration_s,energy_J\n"
+        + "".join(f"{'abc'[n // 2]},{60 + n % 2},{n * 37 % 11 / 7:.3f}\n" for n in range(6)),
+        "F=planner+duration_s M=energy_J ?=duration_s",
+    ),
+    "times of two values, beside two factors that tell all runs apart": (
+        "algo,map,time_ms,path_m\n"
+        + "".join(f"{'abc'[n // 2]},{'xy'[n % 2]},{10 + 2 * (n % 3 > 0 < n)},{n * 37 % 11}.{n}\n" for n in range(6)),
+        "F=algo+map+time_ms M=path_m ?=time_ms",
+    ),
+    "answers of a questionnaire, before a measure": (
+        made("voice,comfort,wait_s", {"voice": ["calm", "loud"]}, 15, comfort="{likert}"),
+        "F=voice+comfort M=wait_s ?=comfort",
+    ),
+    "treatments of a fraction, each evenly with each other": (
+        "A,B,C,D,y\n"
+        + "".join(f"{a},{b},{c},{a * b * c},{(n * 37 + 5) % 101 / 7:.3f}\n" for n, (a, b, c) in enumerate(SIGNS)),
+        "F=A+B+C+D M=y",
+    ),
+    "speeds in percent, more than a dozen": (
+        made("speed_pct,power_W", {"speed_pct": [*map(str, range(5, 105, 5))]}, 2),
+        "F=speed_pct M=power_W ?=speed_pct",
+    ),
+    "paths that a planner finds again in each repetition": (
+        made("planner,map,rep,path_m,time_s,nodes", PLANNER | MAPS, 4, rep="{rep}", path_m="{c}.25", nodes="9{c}7"),
+        "rep=rep F=planner+map M=path_m+time_s+nodes",
+    ),
+    "loops that a benchmark counted, beside a column that it left empty": (
+        made("name,loops,time_ns,label", {"name": ["a", "b"]}, 5, loops="9{x:.0f}", label=""),
+        "F=name M=loops+time_ns+label",
+    ),
+    # Planned numbers that are as uneven as measured ones, or have the heading of a measure.
+    "a decimal setting of one letter": (
+        made("n,task,energy", TASK | {"n": ["0.5", "1.5"]}),
+        "F=n+task M=energy",
+    ),
+    "a setting in four rows": (
+        "planner,power_limit_W,fps\na,15,1.5\na,30,1.7\nb,15,2.5\nb,30,2.2\n",
+        "F=planner+power_limit_W M=fps",
+    ),
+    "close settings in four rows": (
+        "propeller,voltage_V,thrust_N\na,11,1.5\na,12,1.7\nb,11,2.5\nb,12,2.2\n",
+        "F=propeller+voltage_V M=thrust_N",
+    ),
+    "agents of which a planner does not manage the most": (
+        "\n".join(row for row in made("planner,agents,time_s", PLANNER | AGENTS, 3).split("\n") if row[:3] != "a,5"),
+        "F=planner+agents M=time_s",
+    ),
+    "speeds, of which several runs were lost": (
+        "robot,speed,energy_J\n"
+        + "".join(f"{'ab'[n // 6]},{n % 2 + 1},{n * 37 % 11}.{n}\n" for n in range(12) if n % 4),
+        "F=robot+speed M=energy_J",
+    ),
+    "angles that count like answers, of which several runs were lost": (
+        "arm,angle_deg,error_mm\n"
+        + "".join(f"{'ab'[n // 15]},{n % 5 + 1},{n * 37 % 11}.{n}\n" for n in range(30) if n not in {0, 5}),
+        "F=arm+angle_deg M=error_mm",
+    ),
+    "numbers of configurations": (
+        made("config,task,mode,energy", MODES, config="2{c}"),
+        "F=task+mode M=energy X=config",
+    ),
+    "numbers of conditions, after a measure": (
+        made("task,mode,energy,condition,test_case", MODES, condition="2{c}", test_case="3{c}"),
+        "F=task+mode M=energy X=condition+test_case",
+    ),
+    "what is computed of numbers that were varied": (
+        made("total_load,robots,payload,makespan", {"robots": ["2", "4"], "payload": ["3", "5"]}, total_load="1{c}"),
+        "F=robots+payload M=makespan X=total_load",
+    ),
+    "paths that a planner finds again in each of many maps": (
+        made("map,path_m,time_s", {"map": [f"m{n}" for n in range(14)]}, path_m="{c}.25"),
+        "F=map M=path_m+time_s",
+    ),
+    # Seeds, days, and durations on a clock.
+    "the same seed for all runs": (
+        made("seed,planner,map,reward", PLANNER | MAPS, 1, seed="42"),
+        "F=seed+planner+map M=reward",
+    ),
+    "versions that look like days": (
+        "version,gpu,fps\n"
+        + "".join(f"{v},{g},{30 + n * 37 % 11 / 7:.2f}\n" for n, (v, g) in enumerate([*VERSIONS, *VERSIONS])),
+        "F=version+gpu M=fps",
+    ),
+    "durations on a clock that were planned": (
+        made("duration,planner,energy", {"duration": ["05:00", "10:00"]} | PLANNER),
+        "F=duration+planner M=energy",
+    ),
+    "seeds that all combinations have": (
+        made("planner,map,seed,reward", PLANNER | MAPS, 4, seed="{rep}11"),
+        "F=planner+map+seed M=reward ?=seed",
+    ),
+    "days that do not have every combination": (
+        made("date,planner,map,energy", PLANNER | MAPS, 1, date="2024-05-0{even}"),
+        "F=planner+map M=energy X=date",
+    ),
+    "days of shuffled runs": (
+        made("date,planner,rep,energy", PLANNER, 6, date="0{other}.5.2024", rep="{rep}")
+        .replace("false", "1")
+        .replace("true", "2"),
+        "rep=rep F=planner M=energy X=date",
+    ),
+    "durations on a clock": (
+        made("planner,duration,energy", PLANNER, 4, duration="00:1{c}:2{r}"),
+        "F=planner M=energy X=duration ?=duration",
+    ),
+    "standard order": (made("StdOrder,task,energy", TASK, StdOrder="{one}"), "id=StdOrder F=task M=energy"),
+    "subjects, and the order in which each had all conditions": (
+        "subject,condition,order,errors\n"
+        + "".join(
+            f"{s},{'abc'[(s + o) % 3]},{o + 1},{10 + (9 * s + o) * 37 % 101}\n" for s in range(1, 7) for o in range(3)
+        ),
+        "F=subject+condition+order M=errors",
+    ),
     # What treatments are tried on, as in R's CO2 and nlme's RatPupWeight.
     "plants that each have one treatment": (
         "Plant,Type,conc,uptake\n"
@@ -556,6 +680,14 @@ def test_what_may_be_a_block_is_noted_with_its_option(tmp_path):
     numbered = SHAPES["three robots"][0].replace("robot,", "Robot No.,")
     (note,) = guessed(tmp_path, numbered).notes
     assert note == "Robot No. is taken for a block; if it is a treatment, say --factor 'Robot No.'"
+
+
+def test_a_subject_that_had_every_condition_is_noted_also_beside_the_order_of_these(tmp_path):
+    text = SHAPES["subjects, and the order in which each had all conditions"][0]
+
+    roles = roles_of(read_foreign_table(write(tmp_path / "run_table.csv", text)), ImportDescription())
+
+    assert "subject has every condition for each of its values: a block? Then say --block subject" in roles.notes
 
 
 def test_a_description_without_guesses_is_complete(tmp_path):

@@ -7,7 +7,7 @@ import os
 import pytest
 from tests.analysis.importing.foreign_folder import EARLIER_TABLE, make_earlier_folder, write
 
-from robot_runner.analysis.importing import foreign_table
+from robot_runner.analysis.importing import foreign_table, units
 from robot_runner.analysis.importing.adoption import adopt
 from robot_runner.analysis.importing.description import ImportDescription, SamplesDescription, parse_recipe
 from robot_runner.analysis.importing.understanding import understand
@@ -734,6 +734,26 @@ def test_folders_beside_the_runs_are_not_taken_for_those_of_runs(tmp_path, files
         write(tmp_path / "results" / name, "x,y\n0,1\n2,1\n")
     rows = "".join(f"video {n},t{n % 2},{n}.5\n" for n in range(3))
     assert table_only(tmp_path, f"what,task,energy_J\n{rows}").notes == ()
+
+
+def test_numbers_are_not_read_as_units(tmp_path, monkeypatch):
+    """Pint is slow to load, and of a wide table each number would be parsed by it."""
+    asked = []
+    monkeypatch.setattr(units, "_registry", lambda: asked.append("pint"))
+    rows = "".join(f"t{n % 2},1.62{n}83,1.73{n}\n" for n in range(6))
+    assert table_only(tmp_path, f"task,energy_J,cost\n{rows}").questions == ()
+    assert not asked
+
+
+@pytest.mark.parametrize("is_used", [True, False])
+def test_studies_beside_the_runs_are_not_taken_for_those_of_runs(tmp_path, is_used):
+    root = tmp_path / "results"
+    for number in range(4):
+        write(root / f"night_{number}" / "power.csv", "time_s,power_W\n0,1\n2,1\n")
+        write(root / f"night_{number + 5 * is_used}" / "run_table.csv", "task,energy_J\na,1.5\nb,2.5\n")
+    rows = "".join(f"night_{n},t{n % 2},{n}.5\n" for n in range(4))
+    heading = "run_id,task,energy_J" if is_used else "what,task,energy_J"
+    assert table_only(tmp_path, f"{heading}\n{rows}").notes == ()
 
 
 def test_files_and_folders_that_do_not_fit_the_table_are_noted(tmp_path):

@@ -80,4 +80,5 @@ def test_what_is_said_of_a_measure_that_is_not_simulated_is_refused(option: str)
     assert refused.value.fix == "Name all of them (--measure Energy --measure CPU), or leave it out."
     with pytest.raises(AnalysisError) as refused:
         scenarios_of(study, Assumptions(**(given | {option: [*given.get(option, ()), said.format("Energie")]})))
-    assert refused.value.fix == "Did you mean 'Energy'?"
+    fix = "Did you mean 'Energy'? Name all of them (--measure Energy --measure Energie), or leave it out."
+    assert refused.value.fix == fix

@@ -95,8 +95,9 @@ def test_a_file_whose_rows_do_not_fit_its_heading_is_refused(
         ("Task;Energy;Energy.sd\nVideo;1.234;200\nNetwork;1.500;200\n", "1.234 may be 1234 or 1.234"),
         ("Energy\tEnergy.sd\n1,234\t5\n0\t5\n", "1,234 may be 1.234 or 1234"),
         ('Task,Energy,Energy.sd\nVideo,"1,234",200\nNetwork,"1,500",200\n', "1,234 may be 1.234 or 1234"),
+        ("Energy;Energy.sd;CPU\n1.234;0,5;1.2\n", "1.234 may be 1234 or 1.234"),
     ],
-    ids=["commas", "points", "beside a zero", "quoted"],
+    ids=["commas", "points", "beside a zero", "quoted", "beside both"],
 )
 def test_a_mean_that_may_be_a_thousand_times_as_large_is_refused(tmp_path: Path, text: str, doubt: str) -> None:
     path = tmp_path / "means.csv"
@@ -113,14 +114,22 @@ def test_a_mean_that_may_be_a_thousand_times_as_large_is_refused(tmp_path: Path,
         ("Energy\tEnergy.sd\n1,234\t0,5\n", 1.234, 0.5),
         ("Energy\tEnergy.sd\n1,234.5\t200\n", 1234.5, 200),
         ("Task;Energy\nVideo;80,5 %\nNetwork;90 %\n", 80.5, 39.62),
+        ("Energy;Energy.sd\n12.345;1.2\n", 12.345, 1.2),
     ],
-    ids=["points between thousands", "decimal commas", "commas between thousands", "percents"],
+    ids=["points between thousands", "decimal commas", "commas between thousands", "percents", "decimal points"],
 )
 def test_one_number_tells_how_the_others_are_written(tmp_path: Path, text: str, mean: float, spread: float) -> None:
     path = tmp_path / "means.csv"
     path.write_text(text, encoding="utf-8")
     found = means_file(STUDY, path, {}, ["Energy"])["Energy"]
     assert (found.means["Video", "lab"], found.spreads["Video", "lab"]) == pytest.approx((mean, spread), abs=0.005)
+
+
+@pytest.mark.parametrize("text", ["Energy,Energy.sd,,\n12.5,1.2,,\n", "Energy;Energy.sd\n12,5;1,2;;\n;;;\n"])
+def test_separators_behind_the_last_cell_are_no_cells(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "means.csv"
+    path.write_text(text, encoding="utf-8")
+    assert means_file(STUDY, path, {}, ["Energy"])["Energy"].means["Video", "lab"] == 12.5
 
 
 def test_a_mean_in_another_unit_is_no_number(tmp_path: Path) -> None:

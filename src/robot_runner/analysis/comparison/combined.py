@@ -25,6 +25,7 @@ from robot_runner.analysis.arrays import Floats
 from robot_runner.analysis.statistics.contrasts import Contrast
 from robot_runner.analysis.statistics.tested import Interval, NotComputed
 from robot_runner.analysis.wording import labelled
+from robot_runner.core.words import listed
 
 if TYPE_CHECKING:
     from robot_runner.analysis.comparison.compared import Side
@@ -196,6 +197,11 @@ class MetaAnalysis:
     measures: tuple[CombinedMeasure, ...]
     differing: tuple[tuple[str, ...], ...]
     findings: tuple[Finding, ...]
+
+    def __repr__(self) -> str:
+        """Return what a notebook shows: all numbers would fill pages."""
+        names = (listed(each.name for each in given) for given in (self.experiments, self.measures))
+        return "<MetaAnalysis of {}: {}>".format(*names)
 
     def measure(self, name: str) -> CombinedMeasure:
         """Return the results of one measure.

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from robot_runner.analysis.wording import labelled
 from robot_runner.core.errors import AnalysisError
-from robot_runner.core.words import combination_label, has_true_zero
+from robot_runner.core.words import combination_label, has_true_zero, listed
 
 if TYPE_CHECKING:
     from robot_runner.analysis.statistics.tested import Interval, NotComputed
@@ -338,6 +338,11 @@ class Comparison:
     notes: tuple[str, ...]
     together: tuple[str, ...] = ()
     again: str = ""
+
+    def __repr__(self) -> str:
+        """Return what a notebook shows: all numbers would fill pages."""
+        verdicts = listed(f"{each.first_name} {each.verdict.value}" for each in self.measures)
+        return f"<Comparison of {self.second.name} with {self.first.name}: {verdicts}>"
 
     @property
     def verdict(self) -> Verdict:

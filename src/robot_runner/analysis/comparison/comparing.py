@@ -61,6 +61,7 @@ from robot_runner.analysis.results import Results, results_of
 from robot_runner.analysis.statistics.experiment_statistics import SEARCHED
 from robot_runner.analysis.statistics.post_hoc import adjusted_known
 from robot_runner.analysis.statistics.tested import NotComputed
+from robot_runner.analysis.statistics.tests import note_on_few
 from robot_runner.analysis.wording import listed, sentence, shown_level, shown_number
 from robot_runner.core.design.analysis_plan import Correction
 from robot_runner.core.errors import AnalysisError
@@ -126,6 +127,7 @@ def compare(
         *(notes_on_left_out(called, (ours, theirs), chosen) if measures is None else ()),
         *_notes_on_values((ours, theirs), called, chosen),
         *_note_on_chance(compared, alpha),
+        *filter(None, [_note_on_few(compared, called)]),
     ]
     return Comparison(
         Side(labels[0], ours.name, ours.folder, len(ours.done)),
@@ -181,6 +183,13 @@ def _note_on_chance(compared: Sequence[MeasureComparison], alpha: float) -> Iter
             f"{tested} measures are compared, each by itself at a level of {level}: where none differs, one of them is "
             f"found to differ in {any_of_them}% of comparisons; in fewer where they go together."
         )
+
+
+def _note_on_few(compared: Sequence[MeasureComparison], called: tuple[str, ...]) -> str:
+    """Return a note on combinations of which one experiment has two or three runs, and the other many."""
+    means = (each for measure in compared if not measure.are_answers for each in measure.differences)
+    pairs = [(f"{each.label} of ", each.first_n, each.second_n) for each in means if each.p_value is not None]
+    return note_on_few(*({label + called[0]: first, label + called[1]: second} for label, first, second in pairs))
 
 
 def _notes_on_values(

@@ -195,7 +195,7 @@ def renamed(
             name = new_names[name]
         while other in new_names:
             other = new_names[other]
-        if name == other and equals:
+        if name == other and name in known:
             continue
         if not equals or other not in known:
             problem = (

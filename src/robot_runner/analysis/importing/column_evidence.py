@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
 from typing import TYPE_CHECKING
@@ -100,9 +100,6 @@ _WORDS_OF_HEADING = re.compile(r"[A-Z]?[a-z]+\d?|[A-Z]+")
 #: Headings of columns that number rows.
 NUMBERING = re.compile(r"(.*[_ ])?(id|index|idx|no|nr|number|num|#)\.?|unnamed: ?\d+|n", re.IGNORECASE)
 
-#: Units of study, to which treatments are applied: where each unit has one treatment, the treatment is the factor.
-_UNITS = re.compile(r"subject|participant|person|website|device|robot|room|app|phone|host|machine")
-
 #: Headings of treatments, whatever the unit of study: where each plant has one treatment, the treatment is the factor.
 TREATMENTS = re.compile(r"treatments?|types?|conditions?|groups?|arms?", re.IGNORECASE)
 
@@ -112,6 +109,11 @@ _EVENLY = 0.5
 _FEWEST_ROWS = 5
 #: Repetition numbers are unique within a combination, except for a few runs that were executed again.
 _TELLING = 0.95
+
+
+def are_even(counts: Codes) -> bool:
+    """Return whether counts are about equal, as those of what was planned are."""
+    return bool(counts.min() >= _EVENLY * counts.max())
 
 
 def repetition_number(cell: str) -> int | None:
@@ -126,12 +128,14 @@ class ColumnEvidence:
 
     Attributes:
         count: the number of rows.
+        places: the place of each column.
         is_over: whether all runs of the table are done, by its status column.
     """
 
     def __init__(self, table: ForeignTable) -> None:
         self.table = table
         self.count = len(table.rows)
+        self.places = {name: place for place, name in enumerate(table.headings)}
         self._cache: dict[str, tuple[Codes, tuple[str, ...]]] = {}
         #: The combination of each run, and its repetition, as far as run ids tell.
         self._combination: Codes | None = None
@@ -204,29 +208,23 @@ class ColumnEvidence:
 
     def without_outcomes(self, name: str, others: Sequence[str]) -> list[str]:
         """Return columns without answers and texts that come after a column: they, like itself, may be outcomes."""
-        behind = self.behind(name)
-        return [each for each in others if each not in behind or (self.is_numeric(each) and each != name)]
-
-    def behind(self, name: str) -> Sequence[str]:
-        """Return a column and those behind it."""
-        return self.table.headings[self.table.headings.index(name) :]
+        place = self.places[name]
+        return [each for each in others if self.places[each] < place or (self.is_numeric(each) and each != name)]
 
     def is_decimal(self, name: str) -> bool:
         """Return whether a column has fractional numbers."""
-        numbers = (self.table.number(value) for value in self.values(name))
-        return any(number is not None and number != int(number) for number in numbers)
+        return any((number := self.table.number(value)) is not None and number % 1 for value in self.values(name))
 
     def are_epochs(self, name: str) -> bool:
         """Return whether numbers are times since 1970, in a column whose heading names times."""
         if not _OF_MOMENTS.search(name.casefold()):
             return False
-        numbers = [number for value in self.values(name) if (number := self.table.number(value)) is not None]
-        return bool(numbers) and min(numbers) >= THIS_CENTURY[0]
+        found = map(self.table.number, self.values(name))
+        return min((each for each in found if each is not None), default=0) >= THIS_CENTURY[0]
 
     def is_even(self, name: str) -> bool:
         """Return whether all values occur about equally often."""
-        counts = np.bincount(self._codes(name))
-        return bool(counts.min() >= _EVENLY * counts.max())
+        return are_even(np.bincount(self._codes(name)))
 
     def is_equal(self, name: str) -> bool:
         """Return whether all values occur equally often."""
@@ -234,8 +232,11 @@ class ColumnEvidence:
 
     def names_measure(self, name: str) -> bool:
         """Return whether the heading names a measure, by a unit or by its words."""
-        words = (word.casefold() for word in _WORDS_OF_HEADING.findall(name))
-        return self.has_unit(name) or any(map(_MEASURED.fullmatch, words))
+        return self.has_unit(name) or self.is_called_measured(name)
+
+    def is_called_measured(self, name: str) -> bool:
+        """Return whether the heading has a word for what is measured."""
+        return any(_MEASURED.fullmatch(word.casefold()) for word in _WORDS_OF_HEADING.findall(name))
 
     def has_unit(self, name: str) -> bool:
         """Return whether the heading has a unit, other than that of shares and counts."""
@@ -326,8 +327,8 @@ class ColumnEvidence:
         stand_together = 1 + np.count_nonzero(np.diff(codes)) == self.levels(name) <= self.count // 2
         if not stand_together or not self.is_numeric(name) or self.is_decimal(name) or self.names_measure(name):
             return None
-        found = (each for each in factors if 1 < self.levels(each) < self.levels(name) and self._follows(codes, each))
-        return next(found, None)
+        fewer = [each for each in factors if 1 < self.levels(each) < self.levels(name)]
+        return next((each for each in fewer if self._follows(codes, each)), None)
 
     def varies(self, name: str) -> bool:
         """Return whether values differ between repetitions of a combination that run ids tell."""
@@ -354,34 +355,6 @@ class ColumnEvidence:
         """Return whether each value of a column occurs with every combination of the others."""
         combined = self._combined(others)
         return _pairs(combined, self._codes(name)) == _distinct(combined) * self.levels(name)
-
-    def aliases(
-        self, factors: Sequence[str], free: Sequence[str], late: Collection[str]
-    ) -> Iterator[tuple[str, Confidence, str]]:
-        """Yield each factor that follows from others, the confidence in that, and the reason."""
-        left = [name for name in factors if self.levels(name) > 1]
-        for name in [each for each in left if each in free]:
-            parts = [each for each in left if each != name and self._follows(self._codes(name), each)]
-            parts = [each for each in parts if self.levels(each) < self.levels(name)]
-            if len(parts) > 1 and self._follows(self._combined(parts), name):
-                left.remove(name)
-                yield name, Confidence.LIKELY, f"it names the combination of {' and '.join(parts)}"
-        for name in sorted(
-            (each for each in left if each in free), key=lambda each: (not NUMBERING.fullmatch(each), -left.index(each))
-        ):
-            for other in left:
-                repeats = 2 * self.levels(other) <= self.count
-                if other == name or name not in left or not repeats or not self._follows(self._codes(other), name):
-                    continue
-                is_named = _UNITS.search(other.casefold()) or TREATMENTS.fullmatch(name)
-                is_unit = other in free and name not in late and is_named
-                if is_unit and self.levels(other) > self.levels(name):
-                    left.remove(other)
-                    yield other, Confidence.UNSURE, f"each {other} has one {name}: which of the two is the factor?"
-                else:
-                    left.remove(name)
-                    yield name, Confidence.LIKELY, f"each {other} has one {name}"
-                break
 
 
 def _distinct(codes: Codes) -> int:

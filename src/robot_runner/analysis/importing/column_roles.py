@@ -19,7 +19,8 @@ if TYPE_CHECKING:
 
 # As earlier tools, the paper's Fig. 3 and people write them; blanks, underscores, dots and case are ignored.
 _RUN_ID = ("runid",)
-_NUMBERING = ("id", "run", "runnumber", "runname", "runno", "nr", "no", "number", "index", "entryid", "experimentid")
+_RUN_NAMES = ("id", "run", "runnumber", "runname", "runno", "nr", "no", "number", "index", "entryid", "experimentid")
+_NUMBERING = (*_RUN_NAMES, "stdorder", "runorder")  # the last two are of design programs
 _STATUS = ("done", "status", "progress", "state")
 #: Headings of repetitions, the surest first; the values have to count, too.
 _STEMS = "repetition|rep|repeat|replicate|replication|trial|iteration|iter|round|run|take|experiment"
@@ -36,8 +37,8 @@ _MAYBE_BLOCK = re.compile(r"(subject|device|host|machine|node|phone|website|app|
 _NUMBERED_NAME = re.compile(
     r"(?:[a-z_ -]*[a-z_ -])?\d+|[a-z]|\d{4}-\d\d-\d\d|mon|tue|wed|thu|fri|sat|sun", re.IGNORECASE
 )
+_SEED = re.compile(r"(random|rng|sim|simulation|env)?seeds?")
 _FEWEST_BLOCKS = 3
-_FEWEST_COUNTED = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -194,8 +195,7 @@ class _Guessing:
                 self._take(name, role, Confidence.SURE, "your design names it")
 
     def _named(self, role: Role) -> tuple[str, ...]:
-        guesses = self._guesses
-        return tuple(name for name in self._table.headings if name in guesses and guesses[name].role is role)
+        return tuple(each for each in self._table.headings if (one := self._guesses.get(each)) and one.role is role)
 
     def _left(self) -> list[str]:
         return [name for name in self._table.headings if name not in self._guesses and name not in self._said.ignore]
@@ -330,28 +330,26 @@ class _Guessing:
         factors = self._named(Role.FACTOR)
         for name in factors:
             others = [each for each in factors if each != name]
-            counts = others and self._evidence.counts(name) and self._evidence.tells_runs_apart(name, others)
-            if not counts or name in (self._said.factors or ()):
+            is_seed = _SEED.fullmatch(_folded(name)) and self._evidence.levels(name) > 1
+            may_count = others and (is_seed or self._evidence.counts(name))
+            if not may_count or not self._evidence.tells_runs_apart(name, others) or name in (self._said.factors or ()):
                 continue
-            numbers = self._evidence.values(name)
-            is_block = _BLOCK.fullmatch(_folded(name)) or _MAYBE_BLOCK.fullmatch(_folded(name))
-            if not self._evidence.is_numeric(name):
-                reason = (
-                    "its texts are numbered, and each combination has every one once: a repetition (--repetition), or "
-                    "one that treatments are compared within (--block)?"
-                )
+            numbers = sorted(self._evidence.values(name), key=lambda each: repetition_number(each) or 0)
+            is_block = any(each.fullmatch(_folded(name)) for each in (_BLOCK, _MAYBE_BLOCK))
+            if is_seed or not self._evidence.is_numeric(name):
+                told = f"{'a seed' if is_seed else 'its texts are numbered'}, and each combination has every one once"
+                reason = f"{told}: a repetition (--repetition), or one that treatments are compared within (--block)?"
                 self._take(name, Role.FACTOR, Confidence.UNSURE, reason)
-            elif len(numbers) >= _FEWEST_COUNTED and not is_block:
-                first, *_, last = sorted(numbers, key=lambda each: repetition_number(each) or 0)
-                told = f"{name} counts from {first} to {last}, and each combination has every number once"
+            elif len(numbers) >= _FEWEST_BLOCKS and not is_block:
+                told = f"{name} counts from {numbers[0]} to {numbers[-1]}, and each combination has every number once"
                 self._notes.append(f"{told}: repetitions? Then say --repetition {shlex.quote(name)}")
 
     def _name_aliases(self) -> None:
-        """Keep columns that follow from factors as text: names and numbers of combinations, synonyms of treatments."""
+        """Take columns that follow from factors for what they are: mostly names of combinations and treatments."""
         factors = self._named(Role.FACTOR)
         free = [name for name in factors if name not in (self._said.factors or ())]
-        for name, confidence, reason in self._evidence.aliases(factors, free, self._late):
-            self._take(name, Role.TEXT, confidence, reason)
+        for verdict in self._evidence.aliases(factors, free, self._late):
+            self._take(*verdict)
         for name in self._named(Role.MEASURE):
             is_numbering = _folded(name) in _NUMBERING or _REPETITION.fullmatch(_folded(name))
             if is_numbering and self._evidence.follow(self._named(Role.FACTOR), name):
@@ -381,9 +379,11 @@ class _Guessing:
             likely, maybe = _BLOCK.fullmatch(_folded(name)), _MAYBE_BLOCK.fullmatch(_folded(name))
             values = self._evidence.values(name)
             is_free = (likely or maybe) and name not in (self._said.factors or ())
-            if not is_free or name not in varied or not others or not self._evidence.crosses(name, others):
+            crosses_all = self._evidence.crosses(name, others)
+            crossed = [each for each in others if self._evidence.crosses(name, [each])]
+            if not is_free or name not in varied or not crossed:
                 continue
-            is_numbered = all(map(_NUMBERED_NAME.fullmatch, values))
+            is_numbered = crosses_all and all(map(_NUMBERED_NAME.fullmatch, values))
             if found is None and likely and is_numbered and len(values) >= _FEWEST_BLOCKS and self._said.guess:
                 found = name
                 reason = f"each of its {len(values)} values has every combination, and they are only numbered"
@@ -391,7 +391,7 @@ class _Guessing:
                 told = f"{name} is taken for a block"
                 self._notes.append(f"{told}; if it is a treatment, say --factor {shlex.quote(name)}")
             else:
-                told = f"{name} has every combination for each of its values"
+                told = f"{name} has every {'combination' if crosses_all else crossed[0]} for each of its values"
                 self._notes.append(f"{told}: a block? Then say --block {shlex.quote(name)}")
         return found
 

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from datetime import UTC, datetime
 from itertools import pairwise
+
+import numpy as np
 
 from robot_runner.analysis.importing.column_evidence import (
     NUMBERING,
@@ -15,18 +17,40 @@ from robot_runner.analysis.importing.column_evidence import (
     Confidence,
     Role,
     Verdict,
+    are_even,
 )
 
+#: Units of study, to which treatments are applied: where each unit has one treatment, the treatment is the factor.
+_UNITS = re.compile(r"subject|participant|person|website|device|robot|room|app|phone|host|machine")
+#: Headings of what names a combination of treatments, also in numbers.
+_COMBINATIONS = re.compile(
+    rf"(.*[_ .-])?({TREATMENTS.pattern}|(setup|combination|variant|scenario|mission|experiment|design|case|cell)s?|"
+    r"config\w*|code)",
+    re.IGNORECASE,
+)
 #: A date of any order, with a time of day: `2025-10-21T19:04:27`, `12/22/2024 18:04`, `22 Dec 2024, 6:04 PM`.
 _MOMENT = re.compile(
     r"(\d{4}([-/.])\d\d?\2\d\d?|\d\d?([-/.])\d\d?\3\d{2,4}|\d\d?[ -][a-z]{3,9}\.?[ -]\d{4})[t ,]+\d\d?:\d\d.*",
     re.IGNORECASE,
 )
+#: A day without a time of day: `2025-10-21`, `12/22/2024`, `1.5.2024`; `2024.1.0` is a version.
+_DAY = re.compile(r"\d{4}([-/])\d\d?\1\d\d?|\d{4}\.\d\d\.\d\d|\d\d?([-/.])\d\d?\2\d{4}")
+#: A duration in hours, minutes and seconds, and the headings that tell it from a time of day.
+_CLOCKED = re.compile(r"(\d+:)?\d+:\d\d([.,]\d+)?")
+_DURATION = re.compile(r"duration|elapsed|runtime|latency|makespan|dauer|durée|duración", re.IGNORECASE)
 #: Units in which moments since 1970 are counted in so large numbers that few measures reach them, in seconds.
 _EPOCHS = {"ms": 1e3, "us": 1e6, "ns": 1e9}
 _FEWEST_MOMENTS = 5
 #: Planned numbers are few: more than these are rarely treatments, however equal their frequencies.
 _MANY_TREATMENTS = 12
+#: In a table of fewer rows, measured numbers are easily as evenly distributed as planned ones.
+_FEW_ROWS = 8
+#: Planned numbers differ clearly: where the largest is less than so many times the smallest, they are rather measured.
+_CLOSE = 1.1
+#: Words of what is set as often as it is measured.
+_SET = re.compile(r"volt|temp|freq|rate|distance|max|min", re.IGNORECASE)
+#: The points of the scales of questionnaires, which count from 1 or 0.
+_POINTS_OF_SCALES = frozenset({5, 7, 9, 10, 11})
 #: With so few, an incomplete set of combinations may look like repetitions of combinations without one factor.
 _FEW_REPETITIONS = 2
 
@@ -70,7 +94,25 @@ class ColumnVerdicts(ColumnEvidence):
         """Return whether a column has values in runs that are still to do: treatments do, measures do not."""
         if self.is_over or not self.is_filled(name) or self.is_decimal(name):
             return False
-        return any(map(self.is_empty, self.table.headings))
+        others = self.table.headings
+        is_measured = any(self.is_decimal(each) and 2 * self.levels(each) > self.count for each in others)
+        return not is_measured and any(map(self.is_empty, others))
+
+    def _is_even_among(self, name: str, others: Sequence[str]) -> bool:
+        """Return whether values of a column occur about equally often with each value of any other, as if planned.
+
+        Combinations that were left out on purpose are missing altogether, and the others are about equally frequent.
+        """
+        own, levels = self._codes(name), self.levels(name)
+        for other in others:
+            theirs = self._codes(other)
+            is_free = not self._follows(own, other) and not self._follows(theirs, name)
+            counts = np.bincount(theirs * levels + own, minlength=self.levels(other) * levels)
+            there = counts[counts > 0]
+            is_planned = are_even(there) and (there.min() > 1 or there.max() == 1)
+            if is_free and not are_even(counts) and not is_planned:
+                return False
+        return True
 
     def contradict_run_ids(self, run_id: str | None) -> bool:
         """Forget the combinations that run ids name where columns have as many of their own, and none agrees.
@@ -132,6 +174,7 @@ class ColumnVerdicts(ColumnEvidence):
             yield Role.MEASURE, Confidence.LIKELY, "it is empty so far"
         if self.levels(name) == 1 < self.count:
             yield self._constant(name, is_first=is_first)
+        yield from self._dates_and_durations(name, others, repetition)
         if self.table.has_answers(name):
             yield self._of_truth_values(name, others, repetition, is_first=is_first)
         if self.is_numeric(name):
@@ -140,6 +183,16 @@ class ColumnVerdicts(ColumnEvidence):
         if not is_first and differs and self.is_treatment_text(name):
             yield Role.TEXT, Confidence.UNSURE, "text after the measures that differs between repetitions: an outcome?"
         yield from self._texts(name, is_first=is_first)
+
+    def _dates_and_durations(self, name: str, others: Sequence[str], repetition: str | None) -> Iterator[Verdict]:
+        """Yield a verdict on days, unless they are blocks that have every combination, and on `00:12:34`."""
+        filled = [value for value in self.values(name) if value]
+        if all(map(_DAY.fullmatch, filled)):
+            if not self.crosses(name, others) or self.differs_between_repetitions(name, others, repetition):
+                yield Role.TEXT, Confidence.LIKELY, "dates"
+        elif _DURATION.search(name) and all(map(_CLOCKED.fullmatch, filled)) and not self.is_treatment_text(name):
+            reason = f"durations such as {filled[0]}, which are not read as numbers: write them in seconds?"
+            yield Role.TEXT, Confidence.UNSURE, reason
 
     def _constant(self, name: str, *, is_first: bool) -> Verdict:
         if self.is_measurable(name) and (self.names_measure(name) or not is_first):
@@ -225,19 +278,37 @@ class ColumnVerdicts(ColumnEvidence):
         if 2 * levels > self.count:
             sure = named or self.is_decimal(name)
             yield Role.MEASURE, (Confidence.SURE if sure else Confidence.LIKELY), "numbers that differ in most runs"
+        if repetition is None and is_first and levels <= _MANY_TREATMENTS and self.is_even(name):
+            yield from self._unplanned(name, levels, others)
         yield self._few_numbers(name, levels, others, is_first=is_first, named=named)
 
     def _numbers_of_rows(self, name: str, others: Sequence[str]) -> Iterator[Verdict]:
         if self.differs_everywhere(name) and NUMBERING.fullmatch(name) and not self.is_decimal(name):
             yield Role.TEXT, Confidence.SURE, "it numbers the rows"
-        if self.knows_combinations and self.counts_rows(name) and any(each in self.behind(name) for each in others):
+        is_before = any(self.places[name] <= self.places[each] for each in others)
+        if is_before and self.knows_combinations and self.counts_rows(name):
             yield Role.TEXT, Confidence.UNSURE, "it counts the rows: numbers of runs, or measured?"
+
+    def _unplanned(self, name: str, levels: int, others: Sequence[str]) -> Iterator[Verdict]:
+        """Yield a doubt about numbers before the measures that may have come of the runs themselves."""
+        told = f"{levels} numbers, evenly repeated"
+        numbers = [number for value in self.values(name) if (number := self.table.number(value)) is not None]
+        are_close = bool(numbers) and 0 < max(numbers) < _CLOSE * min(numbers)
+        are_answers = levels in _POINTS_OF_SCALES and self.counts(name) and not self.has_unit(name)
+        if (are_close or are_answers) and not self._is_even_among(name, others):
+            yield Role.FACTOR, Confidence.UNSURE, f"{told}, but not with each value of other factors: measured?"
+        # Where other factors tell all runs apart, the plan has no place for one more.
+        is_odd = are_close or len(set(self._combined(others).tolist())) == self.count
+        if is_odd and self.is_called_measured(name) and not _SET.search(name) and self.count < _FEW_ROWS:
+            yield Role.FACTOR, Confidence.UNSURE, f"{told} in few rows: measured?"
 
     def _few_numbers(self, name: str, levels: int, others: Sequence[str], *, is_first: bool, named: bool) -> Verdict:
         """Return the verdict on numbers that repeat, where nothing tells the combinations of runs."""
         even = self.is_even(name)
         are_names = NUMBERING.fullmatch(name) or levels > _MANY_TREATMENTS
-        if even and are_names and not named and not self.is_decimal(name):
+        # Numbers that other factors determine, as the length of each scenario's path, are as equally frequent as these.
+        are_planned = levels > _MANY_TREATMENTS and self.is_equal(name) and not self.follow(others, name)
+        if even and (are_planned or (are_names and not named and not self.is_decimal(name))):
             reason = f"{levels} numbers, evenly repeated: do they count or name something?"
             return Role.FACTOR, Confidence.UNSURE, reason
         if is_first and even and levels == 2 and self.names_outcome(name):  # noqa: PLR2004 - no and yes
@@ -248,8 +319,44 @@ class ColumnVerdicts(ColumnEvidence):
             doubt = Confidence.SURE if named else Confidence.LIKELY
             # Treatments may be in a unit; what came of runs, and counts, are equally frequent by chance.
             is_planned = others and self.has_unit(name) and self.is_balanced(name, others)
+            is_planned = is_planned and not (self.is_called_measured(name) and self.count < _FEW_ROWS)
             if (even if not named else is_planned) and levels <= _MANY_TREATMENTS:
                 return Role.FACTOR, Confidence.UNSURE, f"{levels} numbers after the measures, evenly repeated"
             return Role.MEASURE, doubt, f"{levels} numbers, {'evenly' if even else 'unevenly'} repeated"
         role = Role.MEASURE if self.is_decimal(name) else Role.FACTOR
         return role, Confidence.UNSURE, f"{levels} numbers before the measures, unevenly repeated"
+
+    def aliases(
+        self, factors: Sequence[str], free: Sequence[str], late: Collection[str]
+    ) -> Iterator[tuple[str, Role, Confidence, str]]:
+        """Yield each factor that follows from others, what it is, the confidence in that, and the reason."""
+        left = [name for name in factors if self.levels(name) > 1]
+        for name in [each for each in left if each in free]:
+            parts = [each for each in left if each != name and self._follows(self._codes(name), each)]
+            parts = [each for each in parts if self.levels(each) < self.levels(name)]
+            if len(parts) > 1 and self._follows(self._combined(parts), name):
+                left.remove(name)
+                is_code = self.counts(name) or NUMBERING.fullmatch(name) or _COMBINATIONS.fullmatch(name)
+                # A planner that uses no chance finds paths of the same length in all repetitions; what follows from
+                # numbers alone, before the measures, is computed, as a total load.
+                is_outcome = name in late or (self.names_measure(name) and not all(map(self.is_numeric, parts)))
+                is_measured = self.is_numeric(name) and is_outcome and not is_code
+                role, told = (Role.MEASURE, "numbers, one for each") if is_measured else (Role.TEXT, "it names the")
+                yield name, role, Confidence.LIKELY, f"{told} combination of {' and '.join(parts)}"
+        for name in sorted(
+            (each for each in left if each in free), key=lambda each: (not NUMBERING.fullmatch(each), -left.index(each))
+        ):
+            for other in left:
+                repeats = 2 * self.levels(other) <= self.count
+                if other == name or name not in left or not repeats or not self._follows(self._codes(other), name):
+                    continue
+                is_named = _UNITS.search(other.casefold()) or TREATMENTS.fullmatch(name)
+                is_unit = other in free and name not in late and is_named
+                if is_unit and self.levels(other) > self.levels(name):
+                    left.remove(other)
+                    reason = f"each {other} has one {name}: which of the two is the factor?"
+                    yield other, Role.TEXT, Confidence.UNSURE, reason
+                else:
+                    left.remove(name)
+                    yield name, Role.TEXT, Confidence.LIKELY, f"each {other} has one {name}"
+                break

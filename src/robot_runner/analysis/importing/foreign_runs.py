@@ -23,6 +23,8 @@ if TYPE_CHECKING:
     from robot_runner.analysis.importing.column_roles import ColumnRoles
     from robot_runner.analysis.importing.foreign_table import ForeignTable
 
+#: The table of the runs; a folder with one is a study of its own, as a pilot or another night.
+TABLE = "run_table.csv"
 _UNFIT = re.compile(r"[^A-Za-z0-9_.-]+")
 _LONGEST_ID = 60
 _NUMBER = re.compile(r"\d+")
@@ -322,6 +324,8 @@ def _folder_notes(root: Path, runs: Sequence[ForeignRun]) -> Iterator[str]:
     used = {run.folder for run in runs if run.folder is not None}
     if not used:
         files = [each for below in ("", "runs/") for each in root.glob(f"{below}*/*.csv")]
+        studies = {each.parent for each in files if each.name == TABLE}
+        files = [each for each in files if each.parent not in studies]
         folders = sorted({each.parent for each in files})
         alike = Counter(kind for _, kind in {(each.parent, _NUMBER.sub("#", each.name)) for each in files})
         if len(folders) >= max(_FEWEST_FOLDERS, len(runs) / 2) and 2 * max(alike.values()) > len(folders):
@@ -331,7 +335,7 @@ def _folder_notes(root: Path, runs: Sequence[ForeignRun]) -> Iterator[str]:
     kinds = {_NUMBER.sub("#", run.folder.name) for run in runs if run.folder is not None}
     parents = {folder.parent for folder in used}
     beside = sorted(path for parent in parents for path in parent.iterdir() if path.is_dir() and path not in used)
-    left = [path.name for path in beside if _NUMBER.sub("#", path.name) in kinds]
+    left = [path.name for path in beside if _NUMBER.sub("#", path.name) in kinds and not (path / TABLE).exists()]
     if left:
         of_runs = f"{counted(len(left), 'folder')} of raw files beside those of {counted(len(used), 'run')}"
         yield f"{of_runs} that the table does not have: {listed(left, shown=_FOLDERS_SHOWN)}"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import codecs
 import csv
 import re
+from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -231,8 +232,8 @@ def _table(
 ) -> ForeignTable:
     (line, headings), *body = filled
     headings = ["" if _WRITTEN_FOR_NONE.fullmatch(name) else name for name in headings]
-    for name in filter(None, headings):
-        if headings.count(name) > 1:
+    for name, count in Counter(filter(None, headings)).items():
+        if count > 1:
             problem = f"heading {name!r} is there twice"
             raise AnalysisError(problem, where=f"{path}:{line}", fix="Name each column, each differently.")
     if body and all(number_of(name) is not None for name in headings):

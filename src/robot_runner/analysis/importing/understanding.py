@@ -14,7 +14,7 @@ from robot_runner.analysis.declared_design import structure_findings
 from robot_runner.analysis.importing.column_evidence import Role, RoleGuess
 from robot_runner.analysis.importing.column_roles import ColumnRoles, roles_of
 from robot_runner.analysis.importing.description import ImportDescription, Recipe, SamplesDescription
-from robot_runner.analysis.importing.foreign_runs import ForeignRun, read_runs
+from robot_runner.analysis.importing.foreign_runs import TABLE, ForeignRun, read_runs
 from robot_runner.analysis.importing.foreign_samples import ForeignSamples, understand_samples
 from robot_runner.analysis.importing.foreign_table import ForeignTable, read_foreign_table, without_unanalysed
 from robot_runner.analysis.importing.recomputation import check_recipes, guess_recipes
@@ -24,7 +24,6 @@ from robot_runner.core.errors import AnalysisError, Finding, StorageError, did_y
 from robot_runner.core.storage.cells import number_of
 from robot_runner.core.words import counted, enumerated, listed, one_line
 
-_TABLE = "run_table.csv"
 _WORKBOOKS = {".xlsx", ".xlsm", ".xls", ".ods"}
 _SHOWN_TABLES = 10
 _SHOWN_CELLS = 4
@@ -101,10 +100,10 @@ class Understanding:
     def _odd_rows(self, where: str) -> Iterator[Finding]:
         """Yield an error for each row that rather has headings or units, or sums up the runs above it."""
         table, said = self.table, self.said
-        measures = [place for place, name in enumerate(table.headings) if name in self.roles.measures]
-        units = [table.rows[0][place] for place in measures if unit_of(table.rows[0][place].strip("[]()"))]
-        texts = [table.rows[0][place] for place in measures if not table.has_answers(table.headings[place])]
         if not any(table.number(cell) is not None for cell in table.rows[0]):
+            measures = [place for place, name in enumerate(table.headings) if name in self.roles.measures]
+            units = [table.rows[0][place] for place in measures if unit_of(table.rows[0][place].strip("[]()"))]
+            texts = [table.rows[0][place] for place in measures if not table.has_answers(table.headings[place])]
             if units:
                 problem = f"line {table.lines[0]} has units rather than values ({enumerated(units)})"
                 fix = "Write them into the heading, as in 'Energy (J)', and remove the line."
@@ -271,8 +270,8 @@ def _table_path(root: Path, name: str | None) -> Path:
         raise StorageError("this is a file, not a folder of results", where=str(root), fix=fix)
     if not root.is_dir():
         raise StorageError("there is no such folder", where=str(root), fix="Name the folder that holds the results.")
-    if (root / (name or _TABLE)).is_file():
-        return root / (name or _TABLE)
+    if (root / (name or TABLE)).is_file():
+        return root / (name or TABLE)
     if name is None and len(tables) == 1:
         return tables[0]
     names = [path.name for path in tables]
@@ -305,14 +304,15 @@ def _settled_by(guess: RoleGuess) -> str:
 def _headings(roles: ColumnRoles, names: Iterable[str], notes: list[str]) -> dict[str, str]:
     """Return the new name of each column; a name that the run table reserves gets an underscore at its end."""
     headings: dict[str, str] = {}
+    taken = {REPETITION}
     repeated = 2 if roles.repetition or roles.repetition_in_run_id else 1
     for name in names:
         here = "".join(character for character in name if is_fit_for_heading(character)).strip() or "column"
-        taken = {REPETITION, *headings.values()}
         while here in taken or any(name_findings(here, kind="column", repetitions=repeated)):
             here = f"{here}_"
         if here != name:
             why = "the name is taken" if here.strip("_") == name.strip("_") else "a heading cannot hold all of it"
             notes.append(f"column {name!r} is called {here!r} here: {why}")
         headings[name] = here
+        taken.add(here)
     return headings

@@ -27,6 +27,11 @@ _SI = ("s", "W", "J", "V", "A", "Hz", "B", "B/s", "K", "m", "rad", "rad/s", "N",
 #: Products with a name of their own. N*m and J/m are not replaced: one may be a torque, the other is not a force.
 _NAMED = {"W*s": "J", "J/s": "W", "A*V": "W", "V*A": "W"}
 
+#: What these units divide, where they stand behind it in a heading: `MB_s`, `Wh_km`, `J_kg`; other single letters may
+#: be names.
+_DIVISORS = frozenset(("s", "h", "m", "km", "kg", "W", "J", "Wh", "kWh"))
+_DIVIDED = frozenset({"J"} | {each for each in _IN_NAMES if len(each) > 1 and each != "min"})
+
 _SPELLINGS = {
     "%": "percent pct percentage",
     "us": "µs μs",
@@ -80,6 +85,14 @@ _SCALE = re.compile(r"[x×*]?\d.*", re.IGNORECASE)  # noqa: RUF001 - people writ
 _SPREAD = re.compile(r"(^|[_ ])(var|variance|cv)($|[_ ])", re.IGNORECASE)
 _ACCELERATION = re.compile(r"acc(el|[^a-z]|$)|gravity", re.IGNORECASE)
 _TIMES = re.compile(r"time|duration|elapsed|latency|delay|period|interval|\bt$", re.IGNORECASE)
+_TORQUE = re.compile(r"torque|moment|stiffness", re.IGNORECASE)
+#: `attempt_C` and `template_C` are no temperatures.
+_TEMPERATURE = re.compile(r"(?i:temp)(?![lot])")
+#: Words for differences and spreads: a rise by 5 degC is none by 278.15 K.
+_DIFFERENCE = re.compile(
+    r"(?<![A-Z])(?:(?<![a-z])|(?=[A-Z]))(?i:std|stdev|stddev|sd|se|sem|rmse|mae|err(or)?|iqr|range|spread|delta|"
+    r"diff(erence)?|rise|drop|increase|decrease|change|drift)(?![a-z])|[\u0394\u2206]"
+)
 _SUFFIXES = {"%": "percent", "m/s": "m_s", "rad/s": "rad_s", "1": ""}
 
 
@@ -203,15 +216,37 @@ def split_heading(heading: str) -> tuple[str, Unit | None]:
         unit = _unit_in(base, found[1]) or (None if before and _SCALE.fullmatch(before[-1]) else _unit_in(base, last))
         is_plural = found[0] == "(s)" and not _TIMES.search(base)
         if base and unit is not None and not is_plural:
-            return base, unit
+            return (name, None) if _is_of_differences(name, unit) else (base, unit)
     if suffixed := _SUFFIXED.fullmatch(name):
         base, written = suffixed["base"], suffixed["unit"].replace("_per_", "/")
         is_known = all(_symbol(part) in {*_IN_NAMES, "w"} for part in written.split("/"))
-        unit = _unit_in(base, written) if is_known and not base.endswith("_per") else None
-        if unit is not None:
+        is_known |= written == "C" and bool(_TEMPERATURE.search(base))
+        unit = _unit_in(base, written) if is_known and not _divides(base, _symbol(written)) else None
+        if unit is not None and not _is_of_differences(name, unit):
             return base + (suffixed["rest"] or ""), unit
     # A heading that is only a unit has to be a word: `Joules`, `Watts`.
     return name, unit_of(name) if name.casefold() in _SPELT and len(name) > len("Hour") else None
+
+
+def _divides(base: str, unit: str) -> bool:
+    """Return whether a unit is a part of another, as in `throughput_MB_s`, `use_J_km`, `tokens_s` and `torque_N_m`."""
+    *before, last = re.split("[_ .]", base)
+    if last == "N" and unit in {"m", "cm", "mm"}:  # the N of a position is North
+        return bool(_TORQUE.search(base))
+    if last == "per" or unit not in _DIVISORS:
+        return last == "per"
+    # A time is in seconds also behind another unit, and what stands behind a number is a condition: `at_500_rpm_W`.
+    if _TIMES.search(base) if unit in TIME_UNITS else (before and before[-1].isdigit()):
+        return False
+    if last in {"W", "A"}:
+        return unit == "h"
+    is_counted = unit in TIME_UNITS and (_COUNTED.fullmatch(last.casefold()) or last.casefold() in {"byte", "bytes"})
+    return bool(is_counted) or (_symbol(last) in _DIVIDED and last != "j")
+
+
+def _is_of_differences(name: str, unit: Unit) -> bool:
+    """Return whether numbers may be differences or spreads, which a unit with an offset would turn into others."""
+    return bool(unit.offset and _DIFFERENCE.search(name))
 
 
 def _unit_in(base: str, written: str) -> Unit | None:
@@ -219,7 +254,7 @@ def _unit_in(base: str, written: str) -> Unit | None:
     # `w` is watts only in the name of a power: orientations also have a component w.
     if written == "w" and "power" in base.casefold():
         return unit_of("W")
-    if written == "C" and "temp" in base.casefold():
+    if written == "C" and _TEMPERATURE.search(base):
         return unit_of("degC")
     # `power_min` is a minimum, not minutes; the g of an acceleration is that of the Earth, not grams.
     if (written == "min" and not _TIMES.search(base)) or (written == "g" and _ACCELERATION.search(base)):

@@ -63,7 +63,10 @@ def _cells_of(study: Study, path: Path, where: str) -> pd.DataFrame:
     except (AnalysisError, StorageError, csv.Error) as error:
         problem = f"the file is not CSV: {error}" if isinstance(error, csv.Error) else error.problem
         raise AnalysisError(problem, where=where, fix="Name a CSV file.") from error
-    (heading, _), *rows = [each for each in lines if any(each[0])] or [([], 0)]
+    filled = [each for each in lines if any(each[0])] or [([], 0)]
+    width = max((place for place, name in enumerate(filled[0][0], start=1) if name), default=0)
+    # Spreadsheets write separators behind the last cell.
+    (heading, _), *rows = [(row if any(row[width:]) else row[:width], line) for row, line in filled]
     for row, line in rows:
         if len(row) != len(heading):
             told = dialect.delimiter.join(row)
@@ -82,8 +85,11 @@ def _cells_of(study: Study, path: Path, where: str) -> pd.DataFrame:
 def _plain_numbers(table: pd.DataFrame, where: str, *, may_group: bool) -> dict[str, list[str]]:
     """Return columns with decimal points; `may_group` says whether points, too, may stand between thousands."""
     bare = {name: [cell.rstrip("% ") for cell in cells] for name, cells in table.items()}
-    first = [plain_cells(cells, decimal=None, has_decimal_commas=False) for cells in bare.values()]
-    decimal = "," if any(each.has_decimal_commas for each in first) else None
+    first = [plain_cells(cells, decimal=None, has_decimal_commas=may_group) for cells in bare.values()]
+    # What other columns have for certain settles a doubt, unless some have decimal commas and others points.
+    signs = {"," for each in first if each.has_decimal_commas}
+    signs |= {"." for each in first if not each.doubt and not each.words and any("." in cell for cell in each.cells)}
+    decimal = signs.pop() if len(signs) == 1 else None
     found = {}
     for name, cells in bare.items():
         plain = plain_cells(cells, decimal=decimal, has_decimal_commas=may_group)

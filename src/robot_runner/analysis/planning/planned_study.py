@@ -184,7 +184,8 @@ class Study:
             raise AnalysisError(f"there is no measure {name!r}", where=where, fix=did_you_mean(name, self.units))
         if simulated is not None and name not in simulated:
             options = " ".join(f"--measure {shlex.quote(each)}" for each in (*simulated, name))
-            fix = did_you_mean(name, simulated, f"Name all of them ({options}), or leave it out.")
+            all_of_them = f"Name all of them ({options}), or leave it out."
+            fix = f"{did_you_mean(name, simulated, '')} {all_of_them}".strip()
             raise AnalysisError(f"{name} is not simulated, only {enumerated(simulated)}", where=where, fix=fix)
         return name
 
