@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import pickle
 import subprocess
 import sys
 
@@ -12,7 +13,7 @@ import pytest
 from tests.analysis.experiment_folders import two_tasks
 from tests.analysis.made_experiment import make_experiment, write_phases, write_samples
 
-from robot_runner.analysis import analyse, load_results
+from robot_runner.analysis import analyse, compare, load_results
 from robot_runner.core.design.analysis_plan import AnalysisPlan
 from robot_runner.core.design.factor import Factor
 from robot_runner.core.design.hypothesis import Hypothesis
@@ -140,6 +141,29 @@ def test_time_stamps_are_moments_in_utc(tmp_path):
     runs = load_results(make_experiment(tmp_path / "e").root).runs
     assert runs["start_measurement_at"][1] == pd.Timestamp("2026-01-31T12:00:01Z")
     assert runs["continue_at"].isna().all()
+
+
+def test_columns_have_the_same_types_whether_anything_is_in_them_or_not(tmp_path):
+    results = load_results(make_experiment(tmp_path / "e").root)
+    stamps = [name for name in results.runs if name.endswith("_at")]
+    assert {str(results.runs[name].dtype) for name in stamps} == {"datetime64[us, UTC]"}
+    assert results.excluded.empty
+    assert results.odd.empty
+    assert results.attempts["failure"].isna().all()
+    for frame in (results.runs, results.attempts, results.odd, results.excluded, results.events(), results.phases()):
+        assert not [name for name, kind in frame.dtypes.items() if kind.name == "object"]
+
+
+def test_results_can_be_given_to_another_process(tmp_path):
+    results = load_results(make_experiment(tmp_path / "e").root)
+    assert pickle.loads(pickle.dumps(results)).runs.equals(results.runs)  # noqa: S301 - our own
+
+
+def test_what_a_notebook_shows_of_an_analysis_is_a_line(tmp_path):
+    folder = make_experiment(tmp_path / "e").root
+    assert repr(analyse(load_results(folder))) == "<ExperimentStatistics of Energy>"
+    assert repr(compare(folder, folder)).startswith("<Comparison of ")
+    assert "Energy identical" in repr(compare(folder, folder))
 
 
 def test_a_factor_that_counts_repetitions_is_no_factor(tmp_path):

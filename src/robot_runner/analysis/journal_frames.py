@@ -12,6 +12,7 @@ import pandas as pd
 
 from robot_runner.core.events.manager import ORCHESTRATED_EVENTS, RobotRunnerEvents
 from robot_runner.core.storage.journal import read_journal, seconds_of
+from robot_runner.core.storage.manifest import host_in_words
 
 #: The events of a run, in their order (paper, Fig. 2).
 EVENTS = tuple(event.value for event in RobotRunnerEvents if event.belongs_to_run)
@@ -36,7 +37,8 @@ class History:
             order of their beginnings; `attrs["clock_was_set"]` says whether the clock was set, or differs from that of
             another machine, so that times may not tell this order; `attrs["clock_set_by"]` has by how many seconds, in
             all, before each attempt, by number, by run, and `attrs["clock_set_in"]` by how many in it;
-            `attrs["workers"]` names the worker of a cluster, another machine, that executed each run last, by run.
+            `attrs["workers"]` names the worker of a cluster, another machine, that executed each run last, by run;
+            `attrs["machines"]` says in words what its machine is, as far as that is known.
         events: `run_id`, `event`, `at`, `clock_s`, `since_start_s`; of the last attempt at each run.
         published: `run_id`, `measure`, `value`, `owner`, `origin`; of the last attempt at each run.
         doubts: reasons why values are doubtful or missing, by measure, by run; of the last ended attempt at each run.
@@ -68,9 +70,16 @@ class History:
             for name in ("attempts", "events", "published", "odd")
             for frame in [getattr(self, name)]
         }
-        workers = {run: worker for run, worker in self.attempts.attrs["workers"].items() if run not in runs}
-        frames["attempts"].attrs = {**self.attempts.attrs, "workers": workers}
+        by_run = {name: self.attempts.attrs[name].items() for name in ("workers", "machines")}
+        kept = {name: {run: each for run, each in told if run not in runs} for name, told in by_run.items()}
+        frames["attempts"].attrs = {**self.attempts.attrs, **kept}
         return replace(self, **frames)
+
+
+def moments(stamps: Sequence[str | None] | pd.Series) -> pd.Series:
+    """Return time stamps as moments in UTC, to the microsecond also where there is none; NaT for what is no stamp."""
+    parsed = pd.to_datetime(pd.Series(stamps, dtype="object"), utc=True, errors="coerce", format="ISO8601")
+    return parsed.dt.as_unit("us")
 
 
 def read_history(journal: Path) -> History:
@@ -88,6 +97,7 @@ def read_history(journal: Path) -> History:
         "event": reader.take_event,
         "finding": reader.odd.append,
         "imported": reader.take_import,
+        "machine": reader.take_machine,
         "window": reader.take_window,
     }
     for record in read_journal(journal, kinds=takers):
@@ -144,6 +154,8 @@ class _JournalReader:
         self.windows: dict[Attempt, tuple[float, float]] = {}
         self.uncertainties: dict[Attempt, dict[str, float]] = defaultdict(dict)
         self.workers: dict[str, str] = {}
+        self.machines: dict[str, str] = {}
+        self._machine_at: dict[str, str] = {}
         self.readers: dict[str, dict[str, None]] | None = {}
         self.is_any_done = False
         self.odd: list[Mapping[str, Any]] = []
@@ -174,9 +186,16 @@ class _JournalReader:
         self.begun[attempt] = record["at"]
         self.begun_after[attempt] = self.set_by
         self.workers.pop(attempt[0], None)
+        self.machines.pop(attempt[0], None)
         if record.get("slot") == 0:
-            self.workers[attempt[0]] = self._interned(str(record.get("place")))
+            place = self.workers[attempt[0]] = self._interned(str(record.get("place")))
+            if place in self._machine_at:
+                self.machines[attempt[0]] = self._machine_at[place]
         self._look_at_clock(record["at"])
+
+    def take_machine(self, record: Mapping[str, Any]) -> None:
+        """Take the machine of a place, which is told with the first run there."""
+        self._machine_at[record["place"]] = self.machines[record["run"]] = self._interned(host_in_words(record["host"]))
 
     def take_end(self, record: Mapping[str, Any]) -> None:
         attempt, measures = self._attempt(record), record["measures"]
@@ -265,14 +284,15 @@ class _JournalReader:
             status, seconds, failure = self.ends.get((run, attempt), ("unfinished", None, None))
             rows.append((run, attempt, status, None if (run, attempt) in self.untimed else at, seconds, failure))
         columns = ["run_id", "attempt", "status", "started_at", "seconds", "failure"]
-        frame = pd.DataFrame(rows, columns=columns).astype({"run_id": "str", "attempt": "int64", "seconds": "float64"})
-        frame["started_at"] = pd.to_datetime(frame["started_at"], utc=True, format="ISO8601")
+        types = {"run_id": "str", "attempt": "int64", "seconds": "float64", "failure": "str"}
+        frame = pd.DataFrame(rows, columns=columns).astype(types)
+        frame["started_at"] = moments(frame["started_at"])
         statuses = frame["status"].replace("interrupted", "unfinished")
         frame["status"] = pd.Categorical(statuses, ["done", "failed", "unfinished"])
         frame.attrs["clock_was_set"] = self.was_set
         frame.attrs["clock_set_by"] = _by_run(self.begun_after)
         frame.attrs["clock_set_in"] = _by_run(self.set_in)
-        frame.attrs["workers"] = self.workers
+        frame.attrs["workers"], frame.attrs["machines"] = self.workers, self.machines
         return frame
 
     def _events(self, attempts: Iterable[Attempt], starts: Mapping[str, float]) -> pd.DataFrame:
@@ -284,7 +304,7 @@ class _JournalReader:
         frame = pd.DataFrame(rows, columns=["run_id", "event", "at", "clock_s"])
         frame = frame.astype({"run_id": "str", "clock_s": "float64"})
         frame["event"] = pd.Categorical(frame["event"], EVENTS, ordered=True)
-        frame["at"] = pd.to_datetime(frame["at"], utc=True, format="ISO8601")
+        frame["at"] = moments(frame["at"])
         frame["since_start_s"] = frame["clock_s"] - frame["run_id"].map(starts).astype("float64")
         return frame
 
@@ -299,4 +319,4 @@ def _odd(findings: Sequence[Mapping[str, Any]]) -> pd.DataFrame:
     rows = [
         (each.get("run"), each.get("attempt"), each.get("owner"), each["problem"], each.get("fix")) for each in findings
     ]
-    return pd.DataFrame(rows, columns=columns)
+    return pd.DataFrame(rows, columns=columns).astype(dict.fromkeys(columns, "str") | {"attempt": "Int64"})

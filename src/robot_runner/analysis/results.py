@@ -7,7 +7,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 from robot_runner.analysis.alignment import AlignedSamples, Resampling
@@ -384,7 +383,7 @@ def load_results(folder: Path | str, *, with_excluded: bool = False, with_warm_u
         raise StorageError("there is a run table here, but no manifest.json", where=str(folder), fix=fix)
     manifest = read_manifest(files.manifest)
     columns = {column.name: column for column in read_schema(files.schema)}
-    return Results(root, MappingProxyType(manifest), MappingProxyType(columns), with_excluded, with_warm_ups)
+    return Results(root, manifest, columns, with_excluded, with_warm_ups)
 
 
 def results_of(experiment: Results | Path | str) -> Results:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
+from robot_runner.analysis.journal_frames import moments
 from robot_runner.analysis.wording import labelled
 from robot_runner.core.design.analysis_plan import AnalysisPlan
 from robot_runner.core.design.batch import CONFIRMATION
@@ -191,8 +192,7 @@ def excluded_frame(frame: pd.DataFrame, known: ExcludedRuns) -> pd.DataFrame:
     """Return the excluded rows of a run table, with the time of exclusion as `excluded_at` (UTC)."""
     chosen = frame[frame[EXCLUDED].notna()] if EXCLUDED in frame else frame.iloc[:0].assign(**{EXCLUDED: None})
     at = [known.present[run_id].at if run_id in known.present else None for run_id in chosen[RUN_ID]]
-    stamps = pd.to_datetime(pd.Series(at, dtype="object"), utc=True, format="ISO8601")
-    return chosen.reset_index(drop=True).assign(excluded_at=stamps)
+    return chosen.reset_index(drop=True).astype({EXCLUDED: "str"}).assign(excluded_at=moments(at))
 
 
 def quality_frame(
@@ -227,8 +227,7 @@ def _frame(rows: RunTableRows, columns: Sequence[ColumnDescription], manifest: M
     for name in rows.layout.exclusion:
         data[name] = pd.array(list(rows.values(name)), dtype="str")
     for name in rows.layout.stamps:
-        stamps = pd.Series(list(rows.values(name)), dtype="object")
-        data[name] = pd.to_datetime(stamps, utc=True, errors="coerce", format="ISO8601")
+        data[name] = moments(list(rows.values(name)))
     for name in rows.layout.factor_names:
         data[name] = _factor(name, list(rows.values(name)), types.get(name, "any"), declared.get(name, ()))
     for name in rows.layout.repetition:

@@ -6,7 +6,7 @@ import csv
 import math
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -77,7 +77,7 @@ class SampleFile:
     name: str
     time: str
     columns: tuple[str, ...]
-    paths: Mapping[str, Path]
+    paths: Mapping[str, Path] = field(repr=False)
 
     @property
     def label(self) -> str:

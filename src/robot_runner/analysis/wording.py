@@ -44,13 +44,32 @@ def shown_number(value: float | None, digits: int = _DIGITS) -> str:
     if isinstance(value, int):
         text = f"{value:,}"  # a float would have 53 bits
     elif _LARGE <= abs(value) < _HUGE:
-        text = f"{value:,.0f}"
+        text = f"{value:,.{max(0, digits - len(f'{abs(value):.0f}'))}f}"
     elif abs(value) < _SMALL or abs(value) >= _HUGE:
         text = f"{value:.{digits - 1}e}"
     else:
         text = f"{value:#.{digits}g}".rstrip(".")
         text = f"{value:,.0f}" if "e" in text and abs(value) > 1 else text  # rounding up made an exponent
     return text.replace("-", MINUS, 1) if text.startswith("-") else text
+
+
+def digits_beside(value: float | None, spread: float | None) -> int:
+    """Return how many significant digits a value needs, so that it shows two digits of its spread; four at least.
+
+    A spread that is nothing but rounding counts as none.
+
+    Example:
+        >>> digits_beside(3.45238, 0.0001476), digits_beside(877.1, 4.7), digits_beside(5.1, 9e-16)
+        (6, 4, 4)
+    """
+    if not value or not spread or spread <= _ROUNDING * abs(value):
+        return _DIGITS
+    return max(_DIGITS, _exponent(value) - _exponent(spread) + 2)
+
+
+def _exponent(value: float) -> int:
+    """Return the power of ten of a number's first digit, once it is rounded to two."""
+    return int(f"{value:.1e}".partition("e")[2])
 
 
 def labelled(name: str, unit: str) -> str:

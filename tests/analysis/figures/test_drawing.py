@@ -215,6 +215,38 @@ def test_names_of_outliers_do_not_hide_each_other():
         assert named == {"r_23", "r_20"}
 
 
+def test_names_of_outliers_stand_beside_the_numbers_of_the_axis_and_not_on_them():
+    values = (*np.linspace(0, 1, 20), 9.0)
+    group = Group("T", values, tuple(f"r_{1500 + n}" for n in range(21)))
+    others = [Group(f"{n}", (1.0, 2.0), ("r_1", "r_2")) for n in range(7)]
+    for groups, side in (([group], "right"), ([group, *others], "left"), ([*others, group], "left")):
+        figure = draw_distribution(groups, value_label=LABEL, group_label="Task", outliers=frozenset({"r_1520"}))
+        assert figure.axes[0].texts[0].get_horizontalalignment() == side
+        figure_bytes(figure, FigureFormat.PNG)
+        figure.draw_without_rendering()  # at the resolution of the figure
+        extents = [text.get_window_extent() for text in figure.axes[0].texts]
+        assert min(extent.x0 for extent in extents) >= figure.axes[0].bbox.x0
+        assert max(extent.x1 for extent in extents) <= figure.bbox.width
+
+
+@pytest.mark.parametrize("count", [2, 12])
+def test_a_long_label_is_not_cut_at_an_edge_of_the_figure(count):
+    groups = [Group(f"a treatment of a longer name {n}", (1.0, 2.0), ("r_1", "r_2")) for n in range(count)]
+    long = "a_name_of_a_measure_that_is_nowhere_to_be_broken (J)"
+    figure = draw_distribution(groups, value_label=long, group_label=long)
+    figure_bytes(figure, FigureFormat.PNG)
+    figure.draw_without_rendering()  # at the resolution of the figure
+    for label in (figure.axes[0].xaxis.label, figure.axes[0].yaxis.label):
+        extent = label.get_window_extent()
+        assert 0 <= extent.x0 < extent.x1 <= figure.bbox.width
+        assert 0 <= extent.y0 < extent.y1 <= figure.bbox.height
+
+
+def test_a_figure_is_no_wider_than_a_column_or_a_page_of_the_latex_class_of_ieee():
+    points = 72.27  # of TeX, an inch
+    assert (252 - 1 < COLUMN * points < 252, 516 - 1 < PAGE * points < 516) == (True, True)
+
+
 def test_units_stand_on_the_axes():
     figure = single()
     texts = [figure.get_supylabel(), figure.axes[-1].get_xlabel()]

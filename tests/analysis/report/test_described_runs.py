@@ -8,6 +8,7 @@ import pytest
 from tests.analysis.made_experiment import make_experiment
 
 from robot_runner.analysis import analyse, load_results
+from robot_runner.analysis.figures.style import INK
 from robot_runner.analysis.plan_file import choices_in_words
 from robot_runner.analysis.report.blocks import Facts, Paragraph, Remarks
 from robot_runner.analysis.report.document import report_document
@@ -90,7 +91,11 @@ def test_values_that_the_plan_leaves_out_are_in_no_mean_of_a_figure(tmp_path: Pa
     assert max(max(line.get_ydata()) for line in lines) < 20
     means = table(document, "means")
     assert means.rows[0][1].text.startswith("11.80 ±")
-    assert "but for values that the analysis leaves out" in means.note
+    assert means.note == (
+        "Mean of the runs that are done, but for values that the analysis leaves out, and their standard deviation "
+        "(± SD). Of a measure that is yes or no, how many of the runs that are done, but for values that the analysis "
+        "leaves out, say yes."
+    )
 
 
 @pytest.mark.long
@@ -128,6 +133,56 @@ def test_that_ranks_were_fixed_beforehand_is_said() -> None:
     assert list(choices_in_words(AnalysisPlan("Trust", estimand=Estimand.RANK), str)) == [
         "ranks are compared, not means"
     ]
+
+
+def test_a_single_treatment_has_its_mean_in_brief_and_the_interval_that_the_caption_names(tmp_path: Path) -> None:
+    document = report(tmp_path / "trial", [Factor("Task", ["A"])])
+    means = table(document, "means")
+    assert (means.caption, [row[0].text for row in means.rows]) == (
+        "Means and proportions of all runs.",
+        ["Energy", "Reached"],
+    )
+    assert means.note.endswith("how many of the runs that are done say yes.")
+    drawn = figure(document, "distribution Energy")
+    assert "diamond and bar: mean and its 95% confidence interval" in drawn.caption
+    bars = [each for each in drawn.draw().axes[0].get_lines() if each.get_color() == INK and len(each.get_xdata()) == 2]
+    assert len(bars) == 1
+
+
+@pytest.mark.long
+def test_the_unit_of_a_factor_stands_on_axes_and_in_the_table_of_factors(tmp_path: Path) -> None:
+    document = report(tmp_path / "trial", [TASK, Factor("Speed", [1, 2], unit="m/s")])
+    assert [row[0].text for row in table(document, "factors").rows] == ["Task", "Speed (m/s)", "Repetition"]
+    drawn = figure(document, "distribution Energy by Task / Speed")
+    assert drawn.draw().axes[0].get_xlabel() == "Task / Speed (m/s)"
+
+
+def test_means_that_differ_by_little_of_themselves_are_told_apart(tmp_path: Path) -> None:
+    def way(treatments: dict[str, Any], repetition: int) -> dict[str, Any]:
+        return {"Energy": 3.452 + repetition / 5_000 + (treatments["Task"] == "B") / 2_500}
+
+    make_experiment(tmp_path, [TASK], way, repetitions=3)
+    results = load_results(tmp_path)
+    document = report_document(Material(results, analyse(results)), made="")
+    (row,) = table(document, "means").rows
+    assert [cell.text for cell in row] == ["Energy", "3.45240 ± 0.00020", "3.45280 ± 0.00020"]
+    described = {column.name: cell.text for column, cell in zip(*_first_row(document), strict=True)}
+    assert (described["Minimum"], described["CI of the mean"]) == ("3.45220", "[3.45190, 3.45290]")
+
+
+def test_a_treatment_that_hardly_varies_gives_no_digits_to_others(tmp_path: Path) -> None:
+    def way(treatments: dict[str, Any], repetition: int) -> dict[str, Any]:
+        return {"Energy": 10 + repetition / (2 if treatments["Task"] == "A" else 1e8)}
+
+    make_experiment(tmp_path, [TASK], way, repetitions=3)
+    results = load_results(tmp_path)
+    described = table(report_document(Material(results, analyse(results)), made=""), "describe Energy by Task")
+    assert [row[2].text for row in described.rows] == ["11.00", "10.000000020"]
+
+
+def _first_row(document: Document) -> tuple[Any, Any]:
+    described = table(document, "describe Energy by Task").for_readers
+    return described.columns, described.rows[0]
 
 
 @pytest.mark.parametrize("other", [Factor("Map", ["m1"]), MAP], ids=["one treatment", "one executed"])

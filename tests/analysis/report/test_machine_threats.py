@@ -12,6 +12,7 @@ from robot_runner.analysis.report.material import Material
 from robot_runner.analysis.report.threats_section import threats_of
 from robot_runner.analysis.results import load_results
 from robot_runner.analysis.statistics.experiment_statistics import analyse
+from robot_runner.core.storage.journal import Journal
 from robot_runner.core.storage.layout import ExperimentFolder
 
 if TYPE_CHECKING:
@@ -61,6 +62,52 @@ def test_runs_that_the_table_had_as_done_before_the_first_execution_are_told(two
         "The run table had 1 run as done before the experiment began here (r_1): where and by what is not known, and "
         "their values count as all others do."
     )
+
+
+HARDWARE = "Runs were executed on machines that differ"
+
+
+@pytest.fixture
+def at_workers(two_tasks: Callable[..., Any]) -> Callable[..., dict[str, str]]:
+    """Return the threats of an experiment whose runs were executed at these workers, "" for this machine."""
+
+    def found(*places: str, origin: str = "measured") -> dict[str, str]:
+        folder = two_tasks(manifest={"host": {"processor": "Ours", "cores": 8}}, origin=origin)
+        told: set[str] = set()
+        with Journal(ExperimentFolder(folder.root).journal) as journal:
+            for number, place in enumerate(places, start=1):
+                where = {"place": place, "slot": 0} if place else {}
+                journal.append("attempt_started", run=f"r_{number}", attempt=2, **where)
+                if place and place not in told:
+                    told.add(place)
+                    host = {"processor": place.partition("-")[0], "cores": 4, "memory_bytes": number}
+                    journal.append("machine", run=f"r_{number}", attempt=2, place=place, host=host)
+        results = load_results(folder.root)
+        return {threat.title: threat.text for threat in threats_of(Material(results, analyse(results)))}
+
+    return found
+
+
+def test_hardware_that_differs_between_measured_runs_is_told_with_how_many_were_on_which(
+    at_workers: Callable[..., dict[str, str]],
+) -> None:
+    found = at_workers(*("Pi-1", "Pi-2", "Nuc", "Pi-1", "") * 2)[HARDWARE]
+    assert found.startswith("Pi, 4 cores (6 runs), Nuc, 4 cores (2 runs), Ours, 8 cores (2 runs).")
+    assert "no factor or block tells it: look at Energy" in found
+
+
+def test_hardware_of_one_kind_and_of_one_machine_is_no_threat(at_workers: Callable[..., dict[str, str]]) -> None:
+    assert HARDWARE not in at_workers(*("Pi-1", "Pi-2") * 5)
+    assert HARDWARE not in at_workers(*("",) * 10)
+
+
+def test_hardware_that_goes_with_a_factor_is_told_so(at_workers: Callable[..., dict[str, str]]) -> None:
+    assert "It goes with Task: " in at_workers(*("Pi",) * 5, *("Nuc",) * 5)[HARDWARE]
+
+
+def test_hardware_does_not_matter_to_simulated_values(at_workers: Callable[..., dict[str, str]]) -> None:
+    found = at_workers(*("Pi", "Nuc") * 5, origin="simulated")
+    assert found[HARDWARE].endswith("No measure comes from a sensor there.")
 
 
 def test_a_frequency_that_was_left_to_chance_is_said_once(threats: Callable[..., dict[str, str]]) -> None:

@@ -22,7 +22,7 @@ from robot_runner.analysis.report.rendering import (
     markdown_of,
     markdown_text,
 )
-from robot_runner.analysis.wording import MISSING
+from robot_runner.analysis.wording import MINUS, MISSING
 
 texts = st.text(st.characters(exclude_categories=["Cs"]), max_size=40)
 
@@ -145,6 +145,17 @@ def test_of_a_table_in_latex_that_is_wider_than_a_page_cells_have_lines_and_othe
 def test_units_in_captions_in_latex_keep_their_case_where_captions_are_small_capitals():
     written = latex_of(Table("t", "Power (mW) by Task_1: means.", (Column("a"),), ()), latex_label)
     assert r"\caption{Power \textnormal{(mW)} by Task\_1: means.}" in written
+
+
+def test_a_table_in_latex_has_its_note_and_powers_of_ten_as_papers_print_them():
+    columns = (Column("Log e-05"), Column("Power", is_number=True), Column("CI", is_number=True))
+    row = (Cell("f1.0e-05", "f1.0e-05"), Cell(1.5e-5, "1.500e-05"), Cell(None, f"[{MINUS}1.0e+09, 2.0e+12]"))
+    written = latex_of(Table("t", "Power.", columns, (row,), "CI: 95% confidence interval."), latex_label)
+    assert r"f1.0e-05 & 1.500$\times$10\textsuperscript{$-$}\textsuperscript{5} & {}[$-$1.0$\times$10" in written
+    assert r"\textsuperscript{9}, 2.0$\times$10\textsuperscript{1}\textsuperscript{2}] \\" in written
+    assert r"\footnotesize CI: 95\% confidence interval.}" in written
+    bare = latex_of(Table("t", "Power.", columns, (row,)), latex_label)
+    assert "parbox" not in bare
 
 
 def test_tables_whose_names_differ_in_signs_alone_have_labels_of_their_own():

@@ -18,6 +18,7 @@ from robot_runner.analysis.report.material import Material
 from robot_runner.analysis.wording import (
     MINUS,
     MISSING,
+    digits_beside,
     shown_coefficient,
     shown_number,
     shown_p,
@@ -50,6 +51,26 @@ def test_a_number_is_shown_within_half_of_its_fourth_digit(value):
 )
 def test_numbers_as_a_reader_sees_them(value, shown):
     assert shown_number(value) == shown
+
+
+@pytest.mark.parametrize(
+    ("value", "spread", "shown"),
+    [
+        (3.4523812, 0.0001476, "3.45238"),
+        (877.1234, 4.7, "877.1"),
+        (1234567.891, 0.034, "1,234,567.891"),
+        (123456.78, 9.0, "123,456.8"),
+        (123456.78, 12.0, "123,457"),
+        (-1700000000.25, 0.5, f"{MINUS}1.70000000025e+09"),
+        (5.0, 1e-30, "5.000"),
+        (5.1, 9e-16, "5.100"),
+        (12.3, None, "12.30"),
+        (5.0, 0.0, "5.000"),
+        (0.0, 0.1, "0"),
+    ],
+)
+def test_a_mean_is_shown_to_the_second_digit_of_its_spread_unless_that_is_rounding(value, spread, shown):
+    assert shown_number(value, digits_beside(value, spread)) == shown
 
 
 @pytest.mark.parametrize("value", [None, math.nan, math.inf])

@@ -165,6 +165,15 @@ def test_a_crossover_is_the_one_of_the_textbook():
     assert figures(effects["Method"]) == pytest.approx((2276.78 / 2 / ((616.19 + 199.25) / 6), 2, 6), rel=1e-5)
 
 
+def test_a_crossover_of_two_periods_is_not_said_to_be_adjusted_for_the_treatment_before():
+    rows = [(f"s{each}", str(period), "AB"[(each + period) % 2]) for each in range(8) for period in (1, 2)]
+    lines = [[*row, float(number * 7 % 5)] for number, row in enumerate(rows)]
+    facts = {"kind": "crossover", "subject": "Subject", "period": "Period"}
+    test = analyse(designed(lines, ["Subject", "Period", "Drug"], facts)).measure("y").test
+    assert "cannot be told apart from subjects or periods" in " ".join(test.notes)
+    assert "means are compared, adjusted for Subject and Period. " in test.reason
+
+
 def without_runs(results, *run_ids):
     """The same results after `exclude`: a column has the reason."""
     frame = results.table

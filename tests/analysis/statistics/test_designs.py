@@ -179,6 +179,13 @@ def test_a_smaller_group_whose_runs_are_all_alike_is_told(runs, is_told):
     assert any(note.startswith(told) for note in notes) is is_told
 
 
+@pytest.mark.parametrize(("runs", "is_told"), [((2, 6), True), ((3, 9), True), ((3, 8), False), ((4, 20), False)])
+def test_two_or_three_runs_beside_many_are_told(runs, is_told):
+    rows = [("ab"[place], NORMAL[run]) for place, count in enumerate(runs) for run in range(count)]
+    notes = analyse(designed(rows, ["Planner"], {})).measure("y").test.notes
+    assert any(note.startswith("a: 2 or 3 runs, and others have 3 times as many") for note in notes) is is_told
+
+
 @pytest.mark.parametrize(("values", "is_told"), [((0, 1, 0, 1), True), ((0, 2, 1, 0), False), ((1, 2, 1, 2), False)])
 def test_numbers_that_are_zero_and_one_may_be_no_and_yes(values, is_told):
     rows = [(planner, float(value)) for planner in "ab" for value in values]

@@ -122,6 +122,16 @@ def test_residuals_that_their_design_fixes_are_not_tested_for_normality(tmp_path
     assert "fewer than 3 degrees of freedom" in why
 
 
+def test_groups_of_too_few_values_for_a_test_of_normality_are_named_together(tmp_path):
+    def energy(treatments, repetition):
+        return {"Energy": float(ord(treatments["Task"]) + repetition % 2)}
+
+    few = statistics(tmp_path, (Factor("Task", [*"ABCDEFGH"]),), energy, repetitions=2).measure("Energy")
+    whys = {each.what: each.why for each in few.not_computed if each.what.startswith("Shapiro")}
+    assert whys["Shapiro-Wilk test of A, B, C, D, E, F and 2 more"].endswith("and there are fewer.")
+    assert len(whys) <= 2
+
+
 def test_all_values_are_equal(tmp_path):
     measure = statistics(tmp_path, values=lambda treatments, repetition: {"Energy": 5.0}, repetitions=4).measure(
         "Energy"

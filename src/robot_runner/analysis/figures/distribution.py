@@ -44,8 +44,10 @@ _MOST_UPRIGHT = 8  # groups beside each other; more are drawn as rows
 _MOST_NAMED_OUTLIERS = 6
 #: The smallest distance of names that do not overlap, as a share of the range of all values.
 _APART_UPRIGHT, _APART_ALONG = 0.05, 0.3
+#: Size of these names, and the width of a letter and of a figure's axes, points.
+_NAME_SIZE, _LETTER, _AXES = 5.5, 3.3, 210
 _ROW = 0.17  # height of a group in a row, inches
-_BESIDE_NAMES = 30  # letters of a line beneath the half of the figure beside the groups' names
+_BESIDE_NAMES = 26  # letters of a line beneath the half of the figure beside the groups' names
 _MANY_POINTS = 60
 _MOST_NAMES = 60
 
@@ -194,6 +196,8 @@ def _name_outliers(axes: Axes, groups: Sequence[Group], outliers: frozenset[str]
     everything = [value for group in groups for value in group.values]
     apart = (_APART_UPRIGHT if is_upright else _APART_ALONG) * (max(everything) - min(everything))
     named = 0
+    # Left of the first group are the numbers of the axis.
+    is_left = 4 + _LETTER * max(map(len, outliers)) < _AXES * 0.6 / len(groups)
     for place, group in enumerate(groups):
         last = -math.inf
         for value, run_id in sorted(zip(group.values, group.run_ids, strict=True)):
@@ -202,10 +206,10 @@ def _name_outliers(axes: Axes, groups: Sequence[Group], outliers: frozenset[str]
                 axes.annotate(
                     verbatim(run_id),
                     _turned(place, value, is_upright),
-                    xytext=(-4, 0) if is_upright else (0, 4),
+                    xytext=(-4 if is_left else 4, 0) if is_upright else (0, 4),
                     textcoords="offset points",
-                    fontsize=5.5,
-                    ha="right" if is_upright else "center",
+                    fontsize=_NAME_SIZE,
+                    ha=("right" if is_left else "left") if is_upright else "center",
                     va="center" if is_upright else "bottom",
                 )
 

@@ -11,12 +11,13 @@ import pandas as pd
 from robot_runner.analysis.plan_file import choices_in_words
 from robot_runner.analysis.report.blocks import Block, Cell, Facts, Paragraph, Part, Section, Table, Tone, one_word
 from robot_runner.analysis.report.charts import points_chart
+from robot_runner.analysis.report.machine_threats import described_workers
 from robot_runner.analysis.report.material import JOINT, Material, correction_in_words
 from robot_runner.analysis.report.tables import build_table, field, interval, number, text
 from robot_runner.analysis.statistics.known_precision import KnownPrecision, repeated_interval
 from robot_runner.analysis.statistics.nested_factors import IDLE
 from robot_runner.analysis.statistics.tested import Interval, named_within
-from robot_runner.analysis.wording import ALPHA, MINUS, about_intervals, listed, sentence, with_unit
+from robot_runner.analysis.wording import ALPHA, MINUS, about_intervals, digits_beside, listed, sentence, with_unit
 from robot_runner.core.design.batch import CONFIRMATION
 from robot_runner.core.design.columns import RUN_ID, STATUS
 from robot_runner.core.design.outliers import Doubtful
@@ -149,7 +150,7 @@ def _factor_table(material: Material) -> Table:
         return [each for each in found if name not in within or str(each) != IDLE]
 
     fields = (
-        text("Factor", lambda name: named_within(name, within.get(name, ""))),
+        text("Factor", lambda name: named_within(material.results.label(name), within.get(name, ""))),
         text("Treatments", lambda name: listed([each if each != "" else EMPTY for each in treatments(name)], shown=12)),
         number("How many", lambda name: len(treatments(name))),
     )
@@ -184,10 +185,7 @@ def _machine(material: Material) -> Iterator[tuple[str, str]]:
     host, software = (material.manifest(key, default={}) for key in ("host", "software"))
     if material.is_imported:
         yield "Machine", "not recorded: the runs were executed elsewhere"
-    if workers := material.results.attempts.attrs["workers"]:
-        names = listed(sorted(set(workers.values())))
-        executed = f"{counted(len(workers), 'run')} on workers of a cluster, whose machines are not recorded: {names}"
-        yield "Machine", f"described here is the one that directed {executed}"
+    yield from described_workers(material)
     if host:
         yield "System", " ".join(str(host[key]) for key in ("system", "release", "machine") if host.get(key))
         cores, memory = host.get("cores"), host.get("memory_bytes")
@@ -279,17 +277,20 @@ def _description_table(name: str, caption: str, heading: str, groups: Sequence[D
         run_ids = [outlier.run_id for outlier in group.outliers]
         return Cell(" ".join(run_ids) or None, listed(run_ids))
 
+    def digits(group: Description) -> int:
+        return digits_beside(group.mean, group.sd)
+
     fields = (
         text(heading, "label"),
         number("n", "n"),
         number("Missing", "missing", warns=True),
-        number("Mean", "mean"),
+        number("Mean", "mean", digits),
         number("SD", "sd"),
-        number("Median", "median"),
+        number("Median", "median", digits),
         number("IQR", "interquartile_range"),
-        number("Minimum", "minimum"),
-        number("Maximum", "maximum"),
-        interval("CI of the mean", "mean_interval"),
+        number("Minimum", "minimum", digits),
+        number("Maximum", "maximum", digits),
+        interval("CI of the mean", "mean_interval", digits=digits),
         field("Outliers", outliers),
     )
     told = _about_intervals(group.mean_interval for group in groups)

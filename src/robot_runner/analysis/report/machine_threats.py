@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from glob import escape
 from typing import Any
 
@@ -11,8 +11,10 @@ from robot_runner.analysis.report.material import Material
 from robot_runner.analysis.sample_files import noted_number, notes_of
 from robot_runner.analysis.wording import listed
 from robot_runner.core.design.columns import RUN_ID
+from robot_runner.core.events.measure import Origin
 from robot_runner.core.storage.executed_runs import done_before
 from robot_runner.core.storage.layout import ExperimentFolder
+from robot_runner.core.storage.manifest import host_in_words
 from robot_runner.core.words import counted, enumerated
 
 #: The profiler whose files are read, by the class name in the manifest.
@@ -47,11 +49,79 @@ def machine_threats(material: Material) -> Iterator[tuple[str, str, Tone]]:
             f"({listed(elsewhere)}): where and by what is not known, and their values count as all others do."
         )
         yield "Runs were executed elsewhere", text, Tone.WARNING
+    yield from _hardware(material)
     for host, runs in read_machines(material).items():
         whose = "this machine" if host == "localhost" else host
         yield from _governor(whose, runs)
         yield from _frequency(whose, runs)
         yield from _temperature(whose, runs)
+
+
+def machines_of_runs(material: Material) -> dict[str, list[str]]:
+    """Return the runs that are done by what the machine is that executed them, in words; empty without a cluster."""
+    attempts = material.results.attempts.attrs
+    if not attempts["machines"]:
+        return {}
+    here = host_in_words(material.manifest("host", default={}))
+    found: dict[str, list[str]] = {}
+    for run in material.done[RUN_ID].astype("str"):
+        machine = attempts["machines"].get(run, "" if run in attempts["workers"] else here)
+        if machine:
+            found.setdefault(machine, []).append(run)
+    return found
+
+
+def _machines_in_words(material: Material) -> str:
+    """Return the machines of `machines_of_runs`, and how many runs each kind executed."""
+    found = machines_of_runs(material).items()
+    return listed((f"{machine} ({counted(len(runs), 'run')})" for machine, runs in found), shown=8)
+
+
+def described_workers(material: Material) -> Iterator[tuple[str, str]]:
+    """Yield what executed the runs of a cluster, each a heading and a text; nothing without one."""
+    if workers := material.results.attempts.attrs["workers"]:
+        names = listed(sorted(set(workers.values())))
+        machines = _machines_in_words(material)
+        whose = ": " if machines else ", whose machines are not recorded: "
+        executed = f"{counted(len(workers), 'run')} on workers of a cluster{whose}{names}"
+        yield "Machine", f"described here is the one that directed {executed}"
+        if machines:
+            yield "Executed on", machines
+
+
+def _hardware(material: Material) -> Iterator[tuple[str, str, Tone]]:
+    """Yield that runs were executed on machines that differ, and whether these go with a factor or the blocks."""
+    found = machines_of_runs(material)
+    if len(found) < 2:  # noqa: PLR2004 - one kind is no difference
+        return
+    text, title = f"{_machines_in_words(material)}.", "Runs were executed on machines that differ"
+    if goes_with := _goes_with(material, found):
+        also = f"It goes with {goes_with}: their effects cannot be told apart, unless {goes_with} is about the machine."
+        if goes_with == material.statistics.design.block:
+            also = f"It goes with the blocks ({goes_with}), which take its effect out."
+        yield title, f"{text} {also}", Tone.NOTE
+    elif measured := [name for name in material.results.measures if _is_measured(material, name)]:
+        also = (
+            f"Energy, time and load of the same program differ by it, and no factor or block tells it: look at "
+            f"{listed(measured)}. Have one kind of machine execute all runs, or make it a factor (a claim that its "
+            "workers offer)."
+        )
+        yield title, f"{text} {also}", Tone.WARNING
+    else:
+        yield title, f"{text} No measure comes from a sensor there.", Tone.NOTE
+
+
+def _goes_with(material: Material, found: Mapping[str, Sequence[str]]) -> str:
+    """Return the blocks' column, or a factor, each of whose values had machines of one kind; empty if none had."""
+    machines = {run: machine for machine, runs in found.items() for run in runs}
+    known = material.done[material.done[RUN_ID].isin(machines)]
+    at, design = known[RUN_ID].astype("str").map(machines), material.statistics.design
+    columns = [name for name in (design.block, *design.factors) if name is not None]
+    return next((each for each in columns if at.groupby(known[each].astype("str")).nunique().max() == 1), "")
+
+
+def _is_measured(material: Material, name: str) -> bool:
+    return Origin.MEASURED.value in str(material.results.columns[name].origin).split(", ")
 
 
 def _governor(whose: str, runs: Mapping[str, Mapping[str, Any]]) -> Iterator[tuple[str, str, Tone]]:

@@ -16,7 +16,7 @@ from robot_runner.analysis.figures.distribution import (
 )
 from robot_runner.analysis.figures.effects import draw_interaction
 from robot_runner.analysis.report.blocks import Block, FigureBlock, Gallery, Paragraph, Part, Section, Tone, one_word
-from robot_runner.analysis.report.material import JOINT, Material, origin_in_words
+from robot_runner.analysis.report.material import ALL_RUNS, JOINT, Material, origin_in_words
 from robot_runner.analysis.report.mission_figures import mission_parts, stills_part, trajectory_part
 from robot_runner.analysis.statistics.nested_factors import IDLE
 from robot_runner.analysis.wording import RHO, difference_unit, shown_coefficient, shown_level, shown_number, with_unit
@@ -107,7 +107,7 @@ def _proportions(material: Material, measure: MeasureStatistics, factors: tuple[
             draw_proportions,
             groups,
             value_label=f"{measure.name} (% of runs)",
-            group_label=JOINT.join(factors),
+            group_label=JOINT.join(map(material.results.label, factors)),
             order=_applied_order(material, factors),
         ),
     )
@@ -131,7 +131,7 @@ def _distribution(material: Material, measure: MeasureStatistics, factors: tuple
             draw_distribution,
             groups,
             value_label=material.results.label(measure.name),
-            group_label=JOINT.join(factors),
+            group_label=JOINT.join(map(material.results.label, factors)),
             outliers=outliers,
         ),
     )
@@ -152,7 +152,7 @@ def _level(intervals: Iterable[Interval | None]) -> str:
 def _groups(material: Material, measure: MeasureStatistics, factors: tuple[str, ...]) -> list[Group]:
     labels = material.labels_by(factors)
     told = _descriptions(measure, factors)
-    described = {combination_label(each.treatments[name] for name in factors): each for each in told}
+    described = {combination_label(each.treatments[name] for name in factors) or ALL_RUNS: each for each in told}
     runs = material.described(measure)
     order = _applied_order(material, factors)
     members: dict[str, list[tuple[float, str]]] = {label: [] for label in order}
@@ -225,8 +225,8 @@ def _interaction(material: Material, measure: MeasureStatistics, along: str, acr
             lines,
             treatments=treatments,
             value_label=material.results.label(measure.name),
-            along=along,
-            across=across,
+            along=material.results.label(along),
+            across=material.results.label(across),
         ),
     )
 

@@ -21,12 +21,12 @@ from robot_runner.analysis.report.blocks import (
     Table,
     Tone,
 )
-from robot_runner.analysis.report.material import JOINT, Material
+from robot_runner.analysis.report.material import ALL_RUNS, JOINT, Material
 from robot_runner.analysis.report.tables import Field, build_table, field, text
 from robot_runner.analysis.statistics.families import NO_PROOF
 from robot_runner.analysis.statistics.outcome import Description, MeasureStatistics, Proportion
 from robot_runner.analysis.statistics.robustness import gathered
-from robot_runner.analysis.wording import MISSING, TIMES, listed, p_values_in_words, shown_number
+from robot_runner.analysis.wording import MISSING, TIMES, digits_beside, listed, p_values_in_words, shown_number
 from robot_runner.core.storage.cells import RunStatus
 
 if TYPE_CHECKING:
@@ -161,12 +161,13 @@ def means_table(material: Material, name: str) -> Iterator[Table]:
     """Yield a table of the means of all measures, if there are few enough treatments."""
     described = {measure.name: measure.proportions or measure for measure in material.statistics.measures}
     groups: dict[str, dict[str, Description | Proportion]] = {
-        name: {each.label: each for each in of.by_combination or of.by_treatment}
+        name: {each.label: each for each in of.by_combination or of.by_treatment or (of.overall,)}
         for name, of in described.items()
         if of.overall is not None and of.overall.n
     }
-    names = [name for name in material.order if any(name in each for each in groups.values())]
-    if not groups or not 1 < len(names) <= _MOST_GROUPS:
+    order = dict.fromkeys((*material.order, ALL_RUNS))
+    names = [name for name in order if any(name in each for each in groups.values())]
+    if not 1 <= len(names) <= _MOST_GROUPS:
         return
 
     def means(treatment: str) -> Field:
@@ -174,9 +175,9 @@ def means_table(material: Material, name: str) -> Iterator[Table]:
 
     are_answers = {isinstance(each, Proportion) for of in groups.values() for each in of.values()}
     what = "Means and proportions" if len(are_answers) > 1 else "Proportions" if True in are_answers else "Means"
-    caption = f"{what} by {JOINT.join(material.factors)}."
+    caption = f"{what} of all runs." if names == [ALL_RUNS] else f"{what} by {JOINT.join(material.factors)}."
     without = any(measure.left_out for measure in material.statistics.measures)
-    runs = f"runs that are done{', but for values that the analysis leaves out,' if without else ','}"
+    runs = f"runs that are done{', but for values that the analysis leaves out,' if without else ''}"
     note = f"Mean of the {runs} and their standard deviation (± SD)." if False in are_answers else ""
     if True in are_answers:
         note = f"{note} Of a measure that is yes or no, how many of the {runs} say yes.".strip()
@@ -190,4 +191,4 @@ def _mean(group: Description | Proportion | None) -> Cell:
     if group is None or group.mean is None:
         return Cell(None, MISSING)
     spread = "" if group.sd is None else f" ± {shown_number(group.sd, 2)}"
-    return Cell(group.mean, f"{shown_number(group.mean)}{spread}")
+    return Cell(group.mean, f"{shown_number(group.mean, digits_beside(group.mean, group.sd))}{spread}")

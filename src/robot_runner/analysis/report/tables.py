@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from functools import partial
 from operator import attrgetter
 from typing import TYPE_CHECKING, Any
 
@@ -13,6 +14,8 @@ from robot_runner.analysis.wording import shown_coefficient, shown_interval, sho
 if TYPE_CHECKING:
     #: Reads a value of an item: a function, or the name of an attribute.
     Read = Callable[[Any], Any] | str
+    #: How many significant digits numbers have: all of a column, or those of an item.
+    Digits = int | Callable[[Any], int]
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,13 +52,13 @@ def text(name: str, read: Read, tone: Callable[[Any], Tone] = lambda _: Tone.PLA
     return Field(Column(name), lambda item: Cell.of_text(of(item), tone(item)))
 
 
-def number(name: str, read: Read, digits: int = 4, *, place: Place = Place.EVERYWHERE, warns: bool = False) -> Field:
+def number(name: str, read: Read, digits: Digits = 4, *, place: Place = Place.EVERYWHERE, warns: bool = False) -> Field:
     """Return a column of numbers with so many significant digits; if it warns, numbers above 0 are highlighted."""
     of = _reader(read)
 
     def cell(item: Any) -> Cell:
         value = of(item)
-        return number_cell(value, digits, Tone.WARNING if warns and value else Tone.PLAIN)
+        return number_cell(value, _digits_of(item, digits), Tone.WARNING if warns and value else Tone.PLAIN)
 
     return field(name, cell, is_number=True, place=place)
 
@@ -80,7 +83,9 @@ def p_value(name: str, read: Read, is_significant: Read = lambda _: False) -> Fi
     )
 
 
-def interval(name: str, read: Read, shown: Callable[[float | None], str] = shown_number) -> tuple[Field, ...]:
+def interval(
+    name: str, read: Read, shown: Callable[[float | None], str] | None = None, *, digits: Digits = 4
+) -> tuple[Field, ...]:
     """Return the columns of a confidence interval: one for readers, and its ends for programs."""
     of = _reader(read)
 
@@ -88,8 +93,15 @@ def interval(name: str, read: Read, shown: Callable[[float | None], str] = shown
         return lambda item: None if (found := of(item)) is None else getattr(found, which)
 
     ends = (number(f"{name}, {which}", end(which), place=Place.FILE) for which in ("low", "high"))
-    page = field(name, lambda item: Cell.of_text(shown_interval(of(item), shown)), is_number=True, place=Place.PAGE)
-    return (page, *ends)
+
+    def cell(item: Any) -> Cell:
+        return Cell.of_text(shown_interval(of(item), shown or partial(shown_number, digits=_digits_of(item, digits))))
+
+    return (field(name, cell, is_number=True, place=Place.PAGE), *ends)
+
+
+def _digits_of(item: Any, digits: Digits) -> int:
+    return digits(item) if callable(digits) else digits
 
 
 def _reader(read: Read) -> Callable[[Any], Any]:

@@ -11,7 +11,7 @@ from scipy import stats
 from robot_runner.analysis.arrays import Floats
 from robot_runner.analysis.statistics.descriptive import quiet
 from robot_runner.analysis.statistics.tested import AssumptionCheck, NotComputed, NoVariation, QuantilePairs
-from robot_runner.analysis.wording import p_in_words, shown_coefficient
+from robot_runner.analysis.wording import listed, p_in_words, shown_coefficient
 from robot_runner.core.words import combination_label, enumerated
 
 if TYPE_CHECKING:
@@ -21,7 +21,7 @@ SHAPIRO_WILK = "Shapiro-Wilk"
 LEVENE = "Levene"
 
 #: The fewest values for which scipy computes the test, and the most for which its p-value is valid (Royston 1995).
-_LEAST = 3
+LEAST = 3
 _MOST = 5000
 
 _LEAST_FOR_VARIANCE = 2
@@ -49,10 +49,10 @@ def normality(
     """
     group = dict(treatments or {})
     what = f"{SHAPIRO_WILK} test of {combination_label(group.values()) or 'the residuals'}"
-    if len(values) < _LEAST:
-        return NotComputed(what, f"the test takes {_LEAST} values, and there {_are(len(values))}.")
-    if freedom is not None and freedom < _LEAST:
-        return NotComputed(what, f"with fewer than {_LEAST} degrees of freedom their design fixes what they look like.")
+    if len(values) < LEAST:
+        return NotComputed(what, f"the test takes {LEAST} values, and there {_are(len(values))}.")
+    if freedom is not None and freedom < LEAST:
+        return NotComputed(what, f"with fewer than {LEAST} degrees of freedom their design fixes what they look like.")
     if len(values) > _MOST:
         return NotComputed(what, f"the test's p-value holds for up to {_MOST} values, and there are {len(values)}.")
     if np.ptp(values) == 0:
@@ -67,6 +67,13 @@ def normality(
     verdict = "may be normally distributed" if holds else "are not normally distributed"
     conclusion = f"{whose} {verdict} (W = {shown_coefficient(result.statistic)}, {p_in_words(p_value)})."
     return AssumptionCheck(SHAPIRO_WILK, group, float(result.statistic), p_value, holds, conclusion)
+
+
+def few_values(groups: Sequence[Mapping[str, str]]) -> list[NotComputed]:
+    """Return what tells of all groups whose values are too few for the test, by their treatments; none without any."""
+    labels = listed(combination_label(treatments.values()) for treatments in groups)
+    why = f"the test takes {LEAST} values of a group, and there are fewer."
+    return [NotComputed(f"{SHAPIRO_WILK} test of {labels}", why)] if groups else []
 
 
 def equal_variances(groups: Sequence[Group], alpha: float, within: Sequence[str] = ()) -> AssumptionCheck | NotComputed:
@@ -103,7 +110,7 @@ def equal_variances(groups: Sequence[Group], alpha: float, within: Sequence[str]
 def quantile_pairs(residuals: Floats, run_ids: Sequence[str]) -> QuantilePairs | None:
     """Return the points of a normal Q-Q plot, as R's `qqnorm` and `qqline`; None for too few or equal values."""
     count = len(residuals)
-    if count < _LEAST or np.ptp(residuals) == 0:
+    if count < LEAST or np.ptp(residuals) == 0:
         return None
     order = np.argsort(residuals, kind="stable")
     offset = 3 / 8 if count <= 10 else 1 / 2  # noqa: PLR2004 - R's ppoints

@@ -227,7 +227,7 @@ class _Fitting:
         if len(self.data.frame) - rank - sum(map(self.factors.size, terms)) < 1:
             terms = tuple(term for term in terms if len(term) == 1)
             notes.append(_NO_INTERACTIONS)
-        blocks, responses = self._blocks, responses_of(self.data)
+        blocks, responses, is_carried = self._blocks, responses_of(self.data), False
         if known.period:
             before = self._carried_over(blocks)
             if before is None and known.carry_over and self.within != _BLOCKS:
@@ -239,10 +239,12 @@ class _Fitting:
                 )
             else:
                 notes.append(self._carry_over_in_words(before, blocks, terms, responses))
-                blocks = np.column_stack([blocks, before]) if known.carry_over else blocks
+                is_carried = known.carry_over
+                blocks = np.column_stack([blocks, before]) if is_carried else blocks
         if len(self.data.frame) < len(self.data.every.dropna(subset=[VALUE])) and known.columns:
             notes.append(f"Runs of one combination in the same {self.within} are reduced to their mean.")
-        told = (TestMethod.CROSSOVER if known.period else self._method, self._reason, tuple(notes))
+        method = TestMethod.CROSSOVER if known.period else self._method
+        told = (method, self._reason(is_carried=is_carried), tuple(notes))
         found = fit_strata(self.factors, self._hypotheses(terms), self.values, blocks, None, told, responses)
         return self._compared(found, _ONE_VARIANCE, "Each effect is compared")
 
@@ -266,12 +268,11 @@ class _Fitting:
     def _method(self) -> TestMethod:
         return TestMethod.ADJUSTED_FOR_BLOCKS if self.data.known.columns else TestMethod.LINEAR_MODEL
 
-    @property
-    def _reason(self) -> str:
+    def _reason(self, *, is_carried: bool) -> str:
         known = self.data.known
         adjusted = f", adjusted for {enumerated(self.data.covariates)}" if self.data.covariates else ""
         if known.period:
-            carried = ["the treatment before"] if known.carry_over else []
+            carried = ["the treatment before"] if is_carried else []
             others = enumerated([known.subject, known.period, *carried, *self.data.covariates])
             return f"Each subject has several treatments: means are compared, adjusted for {others}."
         if known.columns:

@@ -12,7 +12,7 @@ import numpy as np
 from robot_runner.analysis.statistics.adjusted_means import AdjustedMeans
 from robot_runner.analysis.statistics.adjustment import adjustment_of
 from robot_runner.analysis.statistics.analysed_design import VALUE, Design, MeasureData
-from robot_runner.analysis.statistics.assumptions import equal_variances, normality, quantile_pairs
+from robot_runner.analysis.statistics.assumptions import LEAST, equal_variances, few_values, normality, quantile_pairs
 from robot_runner.analysis.statistics.batch_strata import comparable
 from robot_runner.analysis.statistics.contrasts import rounding_of
 from robot_runner.analysis.statistics.correlations import drift_of
@@ -281,5 +281,7 @@ def _assumptions(gathered: _Gathered, data: MeasureData, alpha: float) -> tuple[
         kept_apart = tuple(grouped(data)) or (("blocks",) if data.is_blocked else ())
         checks = [of_residuals, equal_variances(groups, alpha, within=kept_apart)]
     if len(groups) <= _MOST_DESCRIBED:
-        checks += [normality(group.values, alpha, group.treatments) for group in groups]
+        checks += few_values([group.treatments for group in groups if len(group.values) < LEAST])
+        tested = [group for group in groups if len(group.values) >= LEAST]
+        checks += [normality(group.values, alpha, group.treatments) for group in tested]
     return gathered.take_all(checks)

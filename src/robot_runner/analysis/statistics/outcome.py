@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from robot_runner.analysis.statistics.disclosed import Adjustment, Beside, LeftOut
-from robot_runner.core.words import combination_label
+from robot_runner.core.words import combination_label, listed
 
 if TYPE_CHECKING:
     from robot_runner.analysis.statistics.surface_model import Surface
@@ -372,6 +372,10 @@ class ExperimentStatistics:
     with_all_runs: tuple[MeasureStatistics, ...] = ()
     without_covariates: tuple[MeasureStatistics, ...] = ()
     plan: AnalysisPlan | None = None
+
+    def __repr__(self) -> str:
+        """Return what a notebook shows: all numbers would fill pages."""
+        return f"<ExperimentStatistics of {listed(each.name for each in self.measures)}>"
 
     def beside(self, which: Beside) -> tuple[MeasureStatistics, ...]:
         """Return the measures of a sensitivity analysis."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from importlib.metadata import version
@@ -327,8 +327,29 @@ def _notes(data: MeasureData, model: AnyModel) -> Iterator[str]:
         yield "The combinations have unequal numbers of runs; in the means that are compared each counts the same."
 
 
+#: So few runs, beside so many times more of others: by simulation Welch's t errs from there on, also of normal values.
+_FEW, _LOPSIDED = 3, 3
+
+
+def note_on_few(*compared: Mapping[str, int]) -> str:
+    """Return a note on groups of two or three runs that are compared with much larger ones; empty without any.
+
+    By simulation Welch's t errs in 12 to 13 % with 2 runs beside 20 of equal spread, and in 27 % of shares near 100 %.
+    """
+    sizes = [(name, count, max(counts.values())) for counts in compared for name, count in counts.items()]
+    few = dict.fromkeys(name for name, count, largest in sizes if _PAIR <= count <= min(_FEW, largest / _LOPSIDED))
+    told = f"{listed(few)}: {_PAIR} or {_FEW} runs, and others have {_LOPSIDED} times as many or more."
+    return f"{told} {_OF_FEW}" if few else ""
+
+
+_OF_FEW = (
+    "So few hardly tell how they vary: differences are found in up to 13 % at 5 %, of skewed values in up to 28 %. "
+    "Repeat these runs."
+)
+
+
 def _notes_on_values(data: MeasureData, model: AnyModel) -> Iterator[str]:
-    """Yield where values are such that a few of them may be alike by chance."""
+    """Yield where so few values tell too little of how they vary."""
     # In other designs, shares of yes are compared as means are.
     if data.known.is_plain and np.array_equal(np.unique(data.values), (0, 1)):
         yield (
@@ -338,6 +359,8 @@ def _notes_on_values(data: MeasureData, model: AnyModel) -> Iterator[str]:
     if not isinstance(model, CellMeans) or model.layout.is_blocked:
         return
     groups = data.groups(data.factors)
+    if model.estimand is not Estimand.RANK and (few := note_on_few({each.label: len(each.values) for each in groups})):
+        yield few
     most = max((len(each.values) for each in groups if np.ptp(each.values) > 0), default=0)
     if alike := [each.label for each in groups if np.ptp(each.values) == 0 and _PAIR <= len(each.values) < most]:
         # By simulation 20 % of 5 and 20 runs of which a quarter say yes, 9 to 11 % of counts and durations of mostly 0.
