@@ -93,6 +93,8 @@ def test_rows_failures_and_findings_come_back(wherever: Any, tmp_path: Path) -> 
     results = wherever(lambda: run_experiment(Study, folder=tmp_path, say=said.append))
     assert [row["Energy"] for row in results.rows] == [2.5, None, 2.5, None]
     assert [row["Task"] for row in results.rows] == ["Good", "Bad", "Good", "Bad"]
+    assert [row["status"] for row in results.rows] == ["Done", "Failed", "Done", "Failed"]
+    assert json.loads(json.dumps(results.rows)) == list(results.rows)
     assert results.folder == tmp_path / "study"
     assert results.failures == dict.fromkeys(("r_2", "r_4"), "launch_mission of config: ValueError: bumped")
     assert (results.done_count, results.failed_count, results.todo_count, results.exit_code) == (2, 2, 0, 1)
@@ -219,6 +221,30 @@ class Cell(ExperimentConfig):
     def create_run_table(self):
         return RunTableModel([Factor("Task", [1])], data_columns=["Energy"])
 """
+
+
+def defined(name: str, text: str, names: dict[str, Any]) -> None:
+    """Execute a cell as a notebook does, which keeps its text by its name."""
+    linecache.cache[name] = (len(text), None, text.splitlines(keepends=True), name)
+    exec(compile(text, name, "exec"), names)  # noqa: S102 - as a notebook does
+
+
+def test_the_cells_of_a_class_without_methods_and_of_its_base_are_kept_and_their_changes_refused(
+    tmp_path: Path,
+) -> None:
+    names: dict[str, Any] = {"__name__": "notebook"}
+    defined("<cell base 1>", "from robot_runner import *\n" + CELL.format(energy=1.0), names)
+    defined("<cell short 1>", "class Short(Cell):\n    speed_up = 2.0\n", names)
+    defined("<cell short 2>", "if False:\n    class Short(Cell):\n        speed_up = 3.0\n", names)
+    results = run_experiment(names["Short"], folder=tmp_path)
+    kept = (results.folder / "config" / "config_from_python.py").read_text()
+    assert '{"Energy": 1.0}' in kept
+    assert "speed_up = 2.0" in kept
+    assert json.loads((results.folder / "manifest.json").read_text())["config"]["kept"] == "cell"
+    defined("<cell base 2>", "from robot_runner import *\n" + CELL.format(energy=2.0), names)
+    defined("<cell short 3>", "class Short(Cell):\n    speed_up = 2.0\n", names)
+    with pytest.raises(ExecutionError, match=r"'return {\"Energy\": 1\.0}' and is 'return {\"Energy\": 2\.0}'"):
+        run_experiment(names["Short"], folder=tmp_path, redo=["r_1"])
 
 
 def test_what_is_refused_is_told_in_the_words_of_who_calls_a_function(tmp_path: Path) -> None:

@@ -7,15 +7,18 @@ import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.config import preparation
 from robot_runner.core.config.executed_as_script import tell_nothing
 from robot_runner.core.config.loader import file_being_loaded
+from robot_runner.core.design.columns import STATUS
 from robot_runner.core.entry_points import entry_points
 from robot_runner.core.errors import AnalysisError, ConfigError, ExecutionError, Finding, PluginError, RobotRunnerError
 from robot_runner.core.execution import notices
+from robot_runner.core.execution.left_systems import see_to_it_first
 from robot_runner.core.execution.orchestrator import execute_experiment
 from robot_runner.core.execution.resumption import Resumption
 from robot_runner.core.execution.task import AttemptStatus
@@ -222,21 +225,23 @@ def _is_free() -> bool:
 def _executed(
     config: Any, texts: Mapping[str, str], resumption: Resumption, observer: notices.Observer
 ) -> notices.ExperimentFinished:
+    prepare = partial(preparation.prepare, first=see_to_it_first)
     with ExitStack() as opened:
         if isinstance(config, str | Path):
-            prepared = preparation.prepare(Path(config).expanduser(), texts)
+            prepared = prepare(Path(config).expanduser(), texts)
         else:
             loaded = opened.enter_context(config_of_object(config, texts))
-            prepared = preparation.prepare(loaded.source.path, texts, lambda _path, _texts: loaded)
+            prepared = prepare(loaded.source.path, texts, lambda _path, _texts: loaded)
         if prepared.experiment is None:
             raise ConfigError.of_findings(prepared.findings)
         return execute_experiment(prepared.experiment, observer, findings=prepared.findings, resumption=resumption)
 
 
 def _results(finished: notices.ExperimentFinished) -> ExperimentResults:
+    rows = read_described_table(ExperimentFolder.found_at(finished.folder))
     return ExperimentResults(
         folder=finished.folder,
-        rows=tuple(read_described_table(ExperimentFolder.found_at(finished.folder))),
+        rows=tuple({**row, STATUS: row[STATUS].value} for row in rows),
         done_count=finished.done_count,
         failed_count=finished.failed_count,
         todo_count=finished.todo_count,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import inspect
 import linecache
+import re
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -23,6 +24,7 @@ from robot_runner.core.errors import ConfigError, Finding
 from robot_runner.core.events.manager import recorded_subscriptions
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.treatments import parameters_guarded
+from robot_runner.notebook.stale_modules import holds_values_of, stale_names
 
 _NOT_REPLICABLE = "a replication package of it cannot be executed"
 _NO_FILE = "Write the class to a file and give its path: then all of it is kept."
@@ -108,6 +110,8 @@ def config_of_object(given: Any, overrides: Mapping[str, str]) -> Iterator[Loade
             for name, value in values.items():
                 setattr(config, name, value)
         findings += _process_findings(config, kind, is_class=isinstance(given, type), kept=kept)
+        local_modules = local_modules_among(source.path, set(sys.modules)) if kept == "file" else {}
+        findings += _stale_findings([source.path, *local_modules])
         try:
             yield LoadedConfig(
                 source=source,
@@ -115,7 +119,7 @@ def config_of_object(given: Any, overrides: Mapping[str, str]) -> Iterator[Loade
                 subscriptions=tuple(subscriptions),
                 activated=(),
                 overrides=dict(overrides),
-                local_modules=local_modules_among(source.path, set(sys.modules)) if kept == "file" else {},
+                local_modules=local_modules,
                 findings=tuple(findings),
                 folder=_folder(config) if kept != "file" else None,
                 kept=kept,
@@ -137,12 +141,14 @@ def _source(kind: type, folder: Path) -> tuple[ConfigSource, str, list[Finding]]
         path = file.resolve()
         text = decode_source(path.read_bytes())
         return ConfigSource(path, text, kind.__name__), "file", _unloadable(where, path, kind, text)
-    text = _cell(kind)
-    if text:
-        kept, problem = "cell", "it stands in no file: its cell is kept, and not what it uses of other cells"
+    # Also those of the classes that it is derived from, a change of which is a change of the experiment.
+    cells = [_cell(each) for each in reversed(kind.__mro__) if each.__module__ == kind.__module__]
+    text = "\n".join(dict.fromkeys(filter(None, cells)))
+    if cells[-1]:
+        kept, problem = "cell", "it stands in no file: its cell is kept, and not what else it uses of other cells"
     else:
         kept, problem = "nothing", "it stands in no file, and its source is not kept: it cannot be found"
-        text = f"# The source of {kind.__name__} could not be found.\n"
+        text += f"# The source of {kind.__name__} could not be found.\n"
     path = folder / NAME
     path.write_text(text, encoding="utf-8")
     return ConfigSource(path, text, kind.__name__), kept, [Finding.warning(where, problem, _NO_FILE)]
@@ -152,12 +158,13 @@ def _cell(kind: type) -> str:
     """Return the source of a notebook's or a console's cell in which a class was written; nothing if it is gone.
 
     `inspect.getsource` looks for the file of the class's module, which a notebook does not have; the code of its
-    methods knows its cell.
+    methods knows its cell. A class without methods is in the latest cell that has its name and its values.
     """
     codes = (getattr(value, "__code__", None) for value in vars(kind).values())
-    for name in {code.co_filename for code in codes if code is not None}:
+    names = dict.fromkeys(code.co_filename for code in codes if code is not None)
+    for name in names or [name for name in reversed(list(linecache.cache)) if not Path(name).exists()]:
         text = "".join(linecache.getlines(name))
-        if f"class {kind.__name__}" in text:
+        if re.search(rf"^\s*class {kind.__name__}\b", text, re.MULTILINE) and (names or holds_values_of(text, kind)):
             return text
     return ""
 
@@ -181,6 +188,18 @@ def _unloadable(where: str, path: Path, kind: type, text: str) -> list[Finding]:
             fix = "Import it by its name, without the dots: the folder of the file is searched for modules."
             return [Finding.warning(where, problem, fix)]
     return []
+
+
+def _stale_findings(files: Sequence[Path]) -> list[Finding]:
+    """Return a warning of each file that was changed after it was imported: it is kept, and another one executed."""
+    return [
+        Finding.warning(
+            str(path),
+            f"{name} is not in memory as it is in the file, which is kept: what is executed is another version",
+            "Restart Python (in a notebook the kernel) after a change, or give the path of the config file.",
+        )
+        for path, name in stale_names(files).items()
+    ]
 
 
 def _process_findings(config: Any, kind: type, *, is_class: bool, kept: str) -> list[Finding]:
