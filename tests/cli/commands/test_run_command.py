@@ -61,7 +61,7 @@ def test_the_end_tells_how_it_went_and_where_the_results_are(
     answer = robot_runner("run", "config.py")
     assert "All 4 runs are done (" in answer.out
     assert "Results  results/trial/run_table.csv" in answer.out
-    assert "Next     open run_table.csv" in answer.out
+    assert "Next     for figures, tests and threats to validity: robot-runner report " in answer.out
     assert "hello from" not in answer.out
     assert (tmp_path / "results/trial/runs/r_1/log.txt").read_text() == "hello from r_1\n"
     assert statuses(tmp_path) == ["Done"] * 4

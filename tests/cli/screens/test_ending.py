@@ -86,7 +86,7 @@ def test_endless_lists_are_cut(told: Any) -> None:
 
 def test_what_to_do_next_fits_how_it_ended(told: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    assert "Next     open run_table.csv in R" in told()
+    assert "Next     for figures, tests and threats to validity: robot-runner report results/trial" in told()
     assert "go on with the 3 runs that are left: robot-runner c.py" in told(done_count=1, todo_count=3)
     failed = {"done_count": 2, "failed_count": 1, "failed": ["r_2"], "todo_count": 1}
     assert "look at results/trial/journal.jsonl, then execute what is left (1 failed, 1 to do)" in told(**failed)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from robot_runner.cli.console import UserConsole, print_facts, shown_path
+from robot_runner.cli.console import UserConsole, command_line, print_facts, shown_path
 from robot_runner.cli.findings import print_odd, quality_in_words
 from robot_runner.cli.screens.progress import Progress
 from robot_runner.core.execution.notices import ExperimentFinished
@@ -87,4 +87,5 @@ def _next(finished: ExperimentFinished, progress: Progress, command: str) -> str
         return f"go on with the {left} that {'is' if finished.todo_count == 1 else 'are'} left: {command}"
     if not progress.run_ids:
         return f"to execute it again beside these results: {command} --set experiment_name=..."
-    return "open run_table.csv in R, pandas or a spreadsheet; run_table.schema.json tells what each column means"
+    report = command_line("report", shown_path(finished.folder))
+    return f"for figures, tests and threats to validity: {report} (or run_table.csv in R or pandas)"
