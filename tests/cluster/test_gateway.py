@@ -174,6 +174,22 @@ def test_an_attempt_whose_worker_tells_something_of_another_shape_is_lost(
     asyncio.run(over())
 
 
+def test_an_attempt_whose_worker_does_not_tell_how_much_it_has_told_before_is_lost(told: _Told) -> None:
+    async def over() -> None:
+        member = Member("tcp://one:1", "one", 1, {}, id="1")
+        told.gateway._client = _Client()  # type: ignore[assignment]
+        told.gateway._members[member.address] = member
+        order = {"token": "89ab", "worker": "1", "name": "one", "address": member.address, "claims": [], "task": {}}
+        told.gateway._begin({**order, "run": "r_1"})
+        told.gateway._take_event((0.0, {"session": "0123", "token": "89ab", "told": "[[], null]"}))
+        for _ in range(20):
+            await asyncio.sleep(0)
+        ((_, fields),) = told.replies()
+        assert fields["lost"] == "what worker one told did not come whole"
+
+    asyncio.run(over())
+
+
 def test_an_attempt_whose_worker_sends_something_else_than_its_files_is_lost(told: _Told, tmp_path: Path) -> None:
     async def over() -> None:
         told.gateway._facts = {**told.gateway._facts, "root": str(tmp_path), "runs": str(tmp_path)}

@@ -278,7 +278,7 @@ class Gateway:
         except (LookupError, ValueError) as error:
             self._lose(attempt.member, f"what worker {attempt.member.name} told cannot be read: {error}")
             return
-        if message["first"] != attempt.received:
+        if message.get("first") != attempt.received:
             self._lose(attempt.member, f"what worker {attempt.member.name} told did not come whole")
             return
         attempt.received += len(records)

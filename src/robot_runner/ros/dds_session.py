@@ -224,7 +224,7 @@ class Session:
     def settle(self, is_so: Callable[[], bool], *, awaits_robot: bool = False) -> bool:
         """Wait until `is_so` holds, at most as long as the discovery of the graph takes.
 
-        With `awaits_robot`, that others are there and silent does not mean that the robot is.
+        With `awaits_robot`, nodes that have been discovered already are not taken for the robot.
         """
         if not self.graph.wait_for(is_so, max(0.0, self._joined + SETTLING - time.monotonic())):
             if awaits_robot:

@@ -230,6 +230,19 @@ def test_who_only_looks_at_a_robot_or_a_world_is_in_nobodys_way_and_is_not_refus
         assert claim_holders_elsewhere("robot:domain 7") == ""
 
 
+def test_a_robot_that_an_absolute_name_reaches_over_the_link_to_another_is_claimed_as_well() -> None:
+    with held_by_another(), of_experiment(("robot:domain 7/alice",)):
+        with (
+            pytest.raises(LinkError, match="in use by"),
+            driving("ros2:domain=7,namespace=alice", topic="/bob/cmd_vel"),
+        ):
+            pass
+        with driving("ros2:domain=7,namespace=alice", topic="/carol/arm/cmd_vel"):
+            assert claim_holders_elsewhere("robot:domain 7/carol/arm") == "trial"
+        with driving("ros2:domain=7,namespace=alice", topic="/cmd_vel"):  # of which robot is not told by its name
+            assert claim_holders_elsewhere("robot:domain 7") == ""
+
+
 @pytest.mark.long
 def test_what_is_refused_is_told_to_no_standby_and_what_the_run_itself_reaches_is_not_looked_at(
     monkeypatch: pytest.MonkeyPatch,

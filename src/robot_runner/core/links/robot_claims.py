@@ -176,12 +176,15 @@ def claiming_if_commanded(robot: str, graph: str, identifier: str, namespace: st
 def claim_commanded(topic: str, graph: str) -> None:
     """Claim the robot that is about to be commanded on a topic or by an action, if by a link of `open_robot`.
 
-    Of a link to a whole graph, it is the one in whose namespace the topic is.
+    Of a link to a whole graph, it is the one in whose namespace the topic is; so it is where an absolute name leads out
+    of the namespaces of all links.
 
     Raises:
         LinkError: another run, experiment or user has it.
     """
-    if links := [each for each in [*_links] if each.graph == graph and topic.startswith(f"{each.namespace}/")]:
+    on_graph, namespace = [each for each in [*_links] if each.graph == graph], topic.rpartition("/")[0]
+    within = [each for each in on_graph if topic.startswith(f"{each.namespace}/")]
+    if links := within or (on_graph if namespace else []):
         nearest = max(links, key=lambda link: len(link.namespace))
-        claim = f"{nearest.claim}{nearest.namespace or topic.rpartition('/')[0]}"
+        claim = f"{nearest.claim}{(within and nearest.namespace) or namespace}"
         nearest.holder.take(claim, links, nearest.robot)
