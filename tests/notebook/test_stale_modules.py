@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from robot_runner import run_experiment
+from robot_runner.notebook.stale_modules import stale_names
 
 STUDY = """
 from functools import lru_cache
@@ -87,3 +88,41 @@ def test_a_module_that_was_imported_again_is_what_its_file_says(
     results = run_experiment(reload(module).Study, folder=tmp_path)
     assert results.rows[0]["Way"] == 30
     assert not [each for each in results.findings if "in memory" in each.problem]
+
+
+#: What is in memory is not written literally, though the file is as it was.
+CHANGING = """
+from enum import Enum
+from {package}.{name} import imported
+parser = None
+import json as parser
+
+
+class Speed(float, Enum):
+    FAST = 2
+
+
+class Robot:
+    made = 0
+
+    def __init__(self):
+        Robot.made += 1
+
+
+Robot()
+"""
+
+
+def test_names_that_change_by_themselves_or_come_from_another_file_of_that_name_are_not_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.syspath_prepend(tmp_path)
+    name, package = "changing_by_itself", tmp_path / "package_of_changing"
+    package.mkdir()
+    (package / f"{name}.py").write_text("def imported():\n    return 1\n", "utf-8")
+    path = tmp_path / f"{name}.py"
+    path.write_text(CHANGING.format(package=package.name, name=name), "utf-8")
+    import_module(name)
+    assert stale_names([path]) == {}
+    path.write_text(path.read_text("utf-8").replace("FAST = 2", "FAST = 3"), "utf-8")
+    assert stale_names([path]) == {path: "FAST"}

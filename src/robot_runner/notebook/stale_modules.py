@@ -7,6 +7,7 @@ import os
 import sys
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
+from enum import Enum
 from functools import lru_cache
 from inspect import unwrap
 from pathlib import Path
@@ -81,23 +82,35 @@ def _codes(names: Mapping[str, Any], module: str, within: str = "") -> Iterator[
                 yield from _codes(vars(value), module, f"{value.__qualname__}.")
             continue
         function: Any = value.fget if isinstance(value, property) else value
-        code = getattr(unwrap(function), "__code__", None) if type(function) in _FUNCTIONS else None
-        if isinstance(code, CodeType):
+        function = unwrap(function) if type(function) in _FUNCTIONS else None
+        code = getattr(function, "__code__", None)
+        if isinstance(code, CodeType) and function.__module__ == module:  # not one that was imported
             yield code
 
 
 def _changed_values(names: Mapping[str, Any], body: Sequence[ast.stmt]) -> Iterator[str]:
     """Yield names whose values are not those written; one that is assigned several times may have any of them."""
-    stored = Counter(
-        node.id
-        for statement in body
-        for node in ast.walk(statement)
-        if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store)
-    )
+    stored = Counter(name for statement in body for node in ast.walk(statement) for name in _names_stored(node))
     for statement in body:
         match statement:
             case ast.ClassDef(name=name, body=inner) if isinstance(names.get(name), type):
                 yield from _changed_values(vars(names[name]), inner)
             case ast.Assign(targets=[ast.Name(id=name)], value=ast.Constant(value=value)) if stored[name] == 1:
-                if (type(names.get(name)), names.get(name)) != (type(value), value):
+                held = names.get(name)
+                if isinstance(held, Enum):  # whose type may have converted the value
+                    is_changed = bool(held.value != value)
+                else:
+                    is_changed = (type(held), held) != (type(value), value)
+                if is_changed:
                     yield name
+
+
+def _names_stored(node: ast.AST) -> Iterator[str]:
+    """Yield the name that is assigned or imported, also one of a class, as a counter of its objects is."""
+    match node:
+        case ast.Name(id=name, ctx=ast.Store()):
+            yield name
+        case ast.Attribute(attr=name, ctx=ast.Store(), value=of) if not (isinstance(of, ast.Name) and of.id == "self"):
+            yield name
+        case ast.alias(name=name, asname=other):
+            yield other or name

@@ -116,7 +116,7 @@ A replication package of an experiment {came_about}.
 {rows}
 """
 _REPLICATING = """\
-Where `robot-runner` is missing, install it, called in the folder that the package was unpacked to:
+Where `robot-runner` is missing, install it from the folder that the package was unpacked to:
 
 ```console
 $ python3 -m venv "$HOME/robot-runner"

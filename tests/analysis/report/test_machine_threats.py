@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import json
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import pytest
+from pandas import DataFrame
 from tests.analysis.made_experiment import write_samples
 
+from robot_runner.analysis.report.machine_threats import _goes_with
 from robot_runner.analysis.report.material import Material
 from robot_runner.analysis.report.threats_section import threats_of
 from robot_runner.analysis.results import load_results
@@ -103,6 +106,14 @@ def test_hardware_of_one_kind_and_of_one_machine_is_no_threat(at_workers: Callab
 
 def test_hardware_that_goes_with_a_factor_is_told_so(at_workers: Callable[..., dict[str, str]]) -> None:
     assert "It goes with Task: " in at_workers(*("Pi",) * 5, *("Nuc",) * 5)[HARDWARE]
+
+
+@pytest.mark.parametrize(("loads", "told"), [(["1", "2", "3", "4"], ""), (["1", "2", "1", "2"], "Load")])
+def test_hardware_does_not_go_with_a_factor_that_has_another_value_in_each_run(loads: list[str], told: str) -> None:
+    design = SimpleNamespace(block=None, factors=("Load",))
+    done = DataFrame({"run_id": ["r_1", "r_2", "r_3", "r_4"], "Load": loads})
+    material: Any = SimpleNamespace(done=done, statistics=SimpleNamespace(design=design))
+    assert _goes_with(material, {"Pi": ["r_1", "r_3"], "Nuc": ["r_2", "r_4"]}) == told
 
 
 def test_hardware_does_not_matter_to_simulated_values(at_workers: Callable[..., dict[str, str]]) -> None:

@@ -112,12 +112,16 @@ def _hardware(material: Material) -> Iterator[tuple[str, str, Tone]]:
 
 
 def _goes_with(material: Material, found: Mapping[str, Sequence[str]]) -> str:
-    """Return the blocks' column, or a factor, each of whose values had machines of one kind; empty if none had."""
+    """Return the blocks' column, or a factor, each of whose values had machines of one kind; empty if none had.
+
+    Where each run has a value of its own, as in a design that fills a space, that tells nothing.
+    """
     machines = {run: machine for machine, runs in found.items() for run in runs}
     known = material.done[material.done[RUN_ID].isin(machines)]
     at, design = known[RUN_ID].astype("str").map(machines), material.statistics.design
     columns = [name for name in (design.block, *design.factors) if name is not None]
-    return next((each for each in columns if at.groupby(known[each].astype("str")).nunique().max() == 1), "")
+    by_value = {each: at.groupby(known[each].astype("str")) for each in columns}
+    return next((each for each, of in by_value.items() if of.nunique().max() == 1 < of.size().max()), "")
 
 
 def _is_measured(material: Material, name: str) -> bool:
