@@ -10,23 +10,9 @@ from functools import partial
 from hashlib import sha256
 
 import pytest
+from tests.replication.verified_packages import refusal_of, verified
 
-from robot_runner.core.errors import PackageError
 from robot_runner.replication.opening import open_package, unpack
-from robot_runner.replication.verification import refuse_faults, verify_package
-
-
-def _verify(path):
-    with open_package(path) as package:
-        verification = verify_package(package)
-    refuse_faults(verification)
-    return verification
-
-
-def _refusal(path):
-    with pytest.raises(PackageError) as refused:
-        _verify(path)
-    return refused.value
 
 
 def _zipped_again(packed, target, renamed=lambda name: name, added=()):
@@ -41,31 +27,31 @@ def _zipped_again(packed, target, renamed=lambda name: name, added=()):
 def test_a_zip_file_of_the_folder_that_it_was_unpacked_to_is_the_package(packed, tmp_path):
     added = ["__MACOSX/small/._run_table.csv", "small/.DS_Store", "small/runs/Thumbs.db"]
     path = _zipped_again(packed, tmp_path / "again.zip", lambda name: f"small-main/{name}", added[:1])
-    assert _verify(path).file_count == packed.file_count
+    assert verified(path).file_count == packed.file_count
     with open_package(path) as package:
         unpack(package, tmp_path / "there")
-    assert _verify(tmp_path / "there").file_count == packed.file_count
+    assert verified(tmp_path / "there").file_count == packed.file_count
     assert not (tmp_path / "there" / "__MACOSX").exists()
     path = _zipped_again(packed, tmp_path / "finder.zip", lambda name: f"small/{name}", added)
-    assert _verify(path).file_count == packed.file_count
+    assert verified(path).file_count == packed.file_count
 
 
 def test_a_package_inside_of_what_is_named_is_pointed_at(packed, unpacked, tmp_path):
     (tmp_path / "downloads" / "small").mkdir(parents=True)
     shutil.copytree(unpacked, tmp_path / "downloads" / "small" / "small")
-    error = _refusal(tmp_path / "downloads")
+    error = refusal_of(tmp_path / "downloads")
     assert "no package.json" in error.problem
     assert str(tmp_path / "downloads" / "small" / "small") in error.fix
     with zipfile.ZipFile(tmp_path / "files.zip", "w") as archive:
         archive.write(packed.path, "files/small.zip")
         archive.writestr("files/paper.pdf", b"%PDF")
-    error = _refusal(tmp_path / "files.zip")
+    error = refusal_of(tmp_path / "files.zip")
     assert "no package.json" in error.problem
     assert "Unpack" in error.fix
     assert "files/small.zip" in error.fix
     with zipfile.ZipFile(tmp_path / "hostile.zip", "w") as archive:
         archive.writestr("../files/SHA256SUMS", "")
-    assert _refusal(tmp_path / "hostile.zip").fix.startswith("Name a package")  # it leaves the folder that it is in
+    assert refusal_of(tmp_path / "hostile.zip").fix.startswith("Name a package")  # it leaves the folder that it is in
 
 
 def test_a_folder_that_does_not_belong_to_it_is_one_fault(unpacked):
@@ -74,7 +60,7 @@ def test_a_folder_that_does_not_belong_to_it_is_one_fault(unpacked):
         (unpacked / ".git" / name).write_text("git's")
     (unpacked / "runs" / "r_9" / "a").mkdir(parents=True)
     (unpacked / "runs" / "r_9" / "a" / "more.csv").write_text("1")
-    first, second = _refusal(unpacked).findings
+    first, second = refusal_of(unpacked).findings
     assert (first.where, first.problem) == (f"{unpacked}, .git", "the folder, of 3 files, is not part of the package")
     assert second.where == f"{unpacked}, runs/r_9/a/more.csv"
 
@@ -92,7 +78,7 @@ def test_line_endings_that_git_has_changed_are_one_fault_that_names_git(packed, 
         each.write_bytes(content.replace(before, after))
     (path / "SHA256SUMS").write_text(sums, newline="\r\n")
     (path / "run_table.schema.json").write_text("{}")
-    altered, ends = _refusal(path).findings
+    altered, ends = refusal_of(path).findings
     assert altered.problem == "the file was altered: its SHA-256 differs"
     assert ends.where == f"{path}, README.md, journal.jsonl, run_table.csv"
     assert "line ends" in ends.problem
@@ -110,7 +96,7 @@ def test_a_name_that_another_tool_has_spelled_otherwise_is_one_fault_that_says_s
         sums.write(f"{sha256(content).hexdigest()}  {name}\n")
     (unpacked / spelled(name)).parent.mkdir()
     (unpacked / spelled(name)).write_bytes(content)
-    (fault,) = _refusal(unpacked).findings
+    (fault,) = refusal_of(unpacked).findings
     assert fault.where == f"{unpacked}, {name}"
     assert "written otherwise" in fault.problem
     assert "unzip" in fault.fix
@@ -121,7 +107,7 @@ def test_a_wrong_number_in_the_end_of_a_zip_file_is_damage_and_no_refusal_of_the
     content = bytearray(packed.path.read_bytes())
     content[len(content) - 22 + place] ^= 255
     (tmp_path / "small.zip").write_bytes(content)
-    assert "Get it again" in _refusal(tmp_path / "small.zip").fix
+    assert "Get it again" in refusal_of(tmp_path / "small.zip").fix
 
 
 def test_the_readme_tells_who_has_the_package_alone_how_to_install_robot_runner(unpacked):

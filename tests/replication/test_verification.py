@@ -14,24 +14,12 @@ from pathlib import Path
 
 import pytest
 from tests.analysis.experiment_folders import two_tasks
+from tests.replication.verified_packages import refusal_of, verified
 
 from robot_runner.core.errors import PackageError
 from robot_runner.replication.opening import open_package
 from robot_runner.replication.replicating import find_source
-from robot_runner.replication.verification import refuse_faults, verify_package
-
-
-def _verify(path):
-    with open_package(path) as package:
-        verification = verify_package(package)
-    refuse_faults(verification)
-    return verification
-
-
-def _refusal(path):
-    with pytest.raises(PackageError) as refused:
-        _verify(path)
-    return refused.value
+from robot_runner.replication.verification import verify_package
 
 
 def _rezipped(packed, target, change):
@@ -56,14 +44,14 @@ def _with_sums(unpacked):
 
 
 def test_an_intact_package_is_intact_zipped_and_unpacked(packed, unpacked):
-    assert _verify(packed.path).experiment == "small"
-    assert _verify(unpacked).file_count == packed.file_count
+    assert verified(packed.path).experiment == "small"
+    assert verified(unpacked).file_count == packed.file_count
 
 
 def test_what_a_desktop_leaves_in_a_folder_that_is_looked_at_is_no_alteration(unpacked):
     (unpacked / ".DS_Store").write_bytes(b"Bud1")
     (unpacked / "runs" / "Thumbs.db").write_bytes(b"Thumbs")
-    assert _verify(unpacked).is_intact
+    assert verified(unpacked).is_intact
 
 
 @pytest.mark.parametrize("share", [0.1, 0.5, 0.999])
@@ -71,7 +59,7 @@ def test_a_truncated_package_is_refused(packed, tmp_path, share):
     content = packed.path.read_bytes()
     path = tmp_path / "cut.zip"
     path.write_bytes(content[: int(len(content) * share)])
-    assert "end is missing" in _refusal(path).problem
+    assert "end is missing" in refusal_of(path).problem
 
 
 def test_one_altered_byte_is_found(packed, tmp_path):
@@ -81,7 +69,7 @@ def test_one_altered_byte_is_found(packed, tmp_path):
     content[entry.header_offset + 200] ^= 1
     path = tmp_path / "altered.zip"
     path.write_bytes(content)
-    refusal = _refusal(path)
+    refusal = refusal_of(path)
     assert "runs/r_1/Ina219/samples.csv" in refusal.where
     assert "damaged" in refusal.problem
 
@@ -92,18 +80,18 @@ def test_an_altered_file_is_found_though_the_zip_is_whole(packed, tmp_path):
         tmp_path / "altered.zip",
         lambda name, data: (name, data.replace(b"Done", b"done") if name == "run_table.csv" else data),
     )
-    assert "the file was altered" in _refusal(path).problem
+    assert "the file was altered" in refusal_of(path).problem
 
 
 def test_a_missing_file_and_an_added_one_are_found(packed, tmp_path):
     lacking = _rezipped(
         packed, tmp_path / "a.zip", lambda name, data: None if name == "journal.jsonl" else (name, data)
     )
-    assert "the file is missing" in _refusal(lacking).problem
+    assert "the file is missing" in refusal_of(lacking).problem
     more = _rezipped(packed, tmp_path / "b.zip", lambda name, data: (name, data))
     with zipfile.ZipFile(more, "a") as archive:
         archive.writestr("config/sitecustomize.py", "print('mine')")
-    assert "not part of the package" in _refusal(more).problem
+    assert "not part of the package" in refusal_of(more).problem
 
 
 @pytest.mark.parametrize("name", ["../outside.txt", "config/../../outside.txt", "/outside.txt", "C:/outside.txt"])
@@ -111,7 +99,7 @@ def test_names_that_leave_the_folder_are_refused(packed, tmp_path, name):
     path = _rezipped(packed, tmp_path / "evil.zip", lambda each, data: (each, data))
     with zipfile.ZipFile(path, "a") as archive:
         archive.writestr(name, "mine")
-    assert _refusal(path).problem in {"the file's name leaves the folder", "the file's name is absolute"}
+    assert refusal_of(path).problem in {"the file's name leaves the folder", "the file's name is absolute"}
     assert not (tmp_path.parent / "outside.txt").exists()
     assert not Path("/outside.txt").exists()
 
@@ -120,7 +108,7 @@ def test_a_backslash_is_no_way_out(packed, tmp_path):
     path = _rezipped(packed, tmp_path / "evil.zip", lambda each, data: (each, data))
     with zipfile.ZipFile(path, "a") as archive:
         archive.writestr("..\\outside.txt", "mine")
-    assert "characters" in _refusal(path).problem
+    assert "characters" in refusal_of(path).problem
 
 
 def test_symbolic_links_are_refused(packed, unpacked, tmp_path):
@@ -130,16 +118,16 @@ def test_symbolic_links_are_refused(packed, unpacked, tmp_path):
     link.external_attr = (stat.S_IFLNK | 0o777) << 16
     with zipfile.ZipFile(path, "a") as archive:
         archive.writestr(link, "/etc/passwd")
-    assert "symbolic link" in _refusal(path).problem
+    assert "symbolic link" in refusal_of(path).problem
     (unpacked / "config" / "link").symlink_to("/etc/passwd")
-    assert "symbolic link" in _refusal(unpacked).problem
+    assert "symbolic link" in refusal_of(unpacked).problem
 
 
 def test_two_files_of_one_name_are_refused(packed, tmp_path):
     path = _rezipped(packed, tmp_path / "evil.zip", lambda each, data: (each, data))
     with zipfile.ZipFile(path, "a") as archive, pytest.warns(UserWarning, match="Duplicate"):
         archive.writestr("run_table.csv", "mine")
-    assert "two files" in _refusal(path).problem
+    assert "two files" in refusal_of(path).problem
 
 
 def test_a_zip_bomb_is_refused_without_being_unpacked(packed, tmp_path):
@@ -147,7 +135,7 @@ def test_a_zip_bomb_is_refused_without_being_unpacked(packed, tmp_path):
     with zipfile.ZipFile(path, "a", zipfile.ZIP_DEFLATED) as archive, archive.open("runs/zeros", "w") as file:
         for _ in range(80):
             file.write(bytes(1 << 20))
-    assert "zip bomb" in _refusal(path).problem
+    assert "zip bomb" in refusal_of(path).problem
 
 
 def test_a_file_that_is_larger_than_it_says_is_refused(packed, tmp_path):
@@ -160,7 +148,7 @@ def test_a_file_that_is_larger_than_it_says_is_refused(packed, tmp_path):
     path.write_bytes(content)
     with open_package(path) as package, pytest.raises(PackageError, match="damaged"):
         list(package.blocks("runs/long.txt"))
-    assert "not part of the package" in _refusal(path).problem
+    assert "not part of the package" in refusal_of(path).problem
 
 
 def test_files_that_share_bytes_are_refused(packed, tmp_path):
@@ -173,14 +161,14 @@ def test_files_that_share_bytes_are_refused(packed, tmp_path):
     last, before = entries
     content[last + 42 : last + 46] = content[before + 42 : before + 46]  # where its bytes begin
     path.write_bytes(content)
-    assert "shares bytes" in " ".join(finding.problem for finding in _refusal(path).findings)
+    assert "shares bytes" in " ".join(finding.problem for finding in refusal_of(path).findings)
 
 
 def test_a_newer_format_is_refused(unpacked):
     path = unpacked / "package.json"
     path.write_text(json.dumps({**json.loads(path.read_text("utf-8")), "format": 99}), encoding="utf-8")
     _with_sums(unpacked)
-    refusal = _refusal(unpacked)
+    refusal = refusal_of(unpacked)
     assert "format 99" in refusal.problem
     assert refusal.fix == "Update robot-runner."
 
@@ -189,13 +177,13 @@ def test_a_newer_experiment_is_refused(unpacked):
     path = unpacked / "manifest.json"
     path.write_text(json.dumps({**json.loads(path.read_text("utf-8")), "format": 99}), encoding="utf-8")
     _with_sums(unpacked)
-    assert "the experiment in it has format 99" in _refusal(unpacked).problem
+    assert "the experiment in it has format 99" in refusal_of(unpacked).problem
 
 
 def test_a_missing_config_is_refused(unpacked):
     (unpacked / "config" / "small.py").unlink()
     _with_sums(unpacked)
-    assert "the config is missing" in _refusal(unpacked).problem
+    assert "the config is missing" in refusal_of(unpacked).problem
 
 
 def test_a_config_outside_the_package_is_refused(unpacked):
@@ -205,7 +193,7 @@ def test_a_config_outside_the_package_is_refused(unpacked):
     path.write_text(json.dumps(manifest), encoding="utf-8")
     (unpacked.parent / "evil.py").write_text("raise SystemExit", encoding="utf-8")
     _with_sums(unpacked)
-    assert "the config is missing" in _refusal(unpacked).problem
+    assert "the config is missing" in refusal_of(unpacked).problem
 
 
 @pytest.mark.parametrize(
@@ -222,26 +210,26 @@ def test_descriptions_of_a_stranger_are_looked_at_before_they_are_used(unpacked,
     path = unpacked / name
     path.write_text(json.dumps({**json.loads(path.read_text("utf-8")), **change}), encoding="utf-8")
     _with_sums(unpacked)
-    assert re.search(rf"^{next(iter(change))}\S* is .+, not a ", _refusal(unpacked).problem)
+    assert re.search(rf"^{next(iter(change))}\S* is .+, not a ", refusal_of(unpacked).problem)
 
 
 def test_what_is_no_package_is_refused(tmp_path):
     (tmp_path / "notes.zip").write_text("mine", encoding="utf-8")
-    assert "not a zip file" in _refusal(tmp_path / "notes.zip").problem
+    assert "not a zip file" in refusal_of(tmp_path / "notes.zip").problem
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w") as archive:
         archive.writestr("a.txt", "a")
     (tmp_path / "other.zip").write_bytes(buffer.getvalue())
-    assert "not a package" in _refusal(tmp_path / "other.zip").problem
-    assert "no such file" in _refusal(tmp_path / "nowhere.zip").problem
+    assert "not a package" in refusal_of(tmp_path / "other.zip").problem
+    assert "no such file" in refusal_of(tmp_path / "nowhere.zip").problem
     (tmp_path / "empty").mkdir()
-    assert "not a package" in _refusal(tmp_path / "empty").problem
+    assert "not a package" in refusal_of(tmp_path / "empty").problem
 
 
 def test_faults_do_not_grow_without_end(unpacked):
     for place in range(50):
         (unpacked / f"more_{place}.txt").write_text("mine", encoding="utf-8")
-    findings = _refusal(unpacked).findings
+    findings = refusal_of(unpacked).findings
     assert len(findings) == 21
     assert "more faults" in findings[-1].problem
 
@@ -251,7 +239,7 @@ def test_unpacking_writes_below_the_folder_alone(packed, tmp_path):
     root = source.unpacked_below(tmp_path / "target", lambda _, __: None)
     assert [path.name for path in tmp_path.iterdir()] == ["target"]
     assert [path.name for path in (tmp_path / "target").iterdir()] == ["package"]
-    assert _verify(root).is_intact
+    assert verified(root).is_intact
 
 
 def test_what_was_altered_after_it_was_unpacked_is_noticed(packed, tmp_path):
@@ -295,7 +283,7 @@ def test_what_is_compared_with_this_machine_is_refused_unless_it_is_as_it_has_to
     facts = json.loads((unpacked / name).read_text(encoding="utf-8"))
     (unpacked / name).write_text(json.dumps({**facts, key: value}), encoding="utf-8")
     _with_sums(unpacked)
-    assert fault in _refusal(unpacked).problem
+    assert fault in refusal_of(unpacked).problem
 
 
 def test_so_is_that_of_a_folder_that_nobody_sealed(tmp_path):

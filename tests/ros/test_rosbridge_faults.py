@@ -287,7 +287,7 @@ def test_zero_is_commanded_before_anything_is_asked_of_what_may_hang(generation,
             else:
                 link = left.enter_context(closing(linked(server)))
                 (doubt,) = keep_commanding_zero(link, driven)
-                assert "who subscribes to it is not known: the graph cannot be listed, because rosapi" in doubt
+                assert "its subscribers are not known: the graph cannot be listed, because rosapi" in doubt
         assert asked
         assert set(heard) == {0.0}
 

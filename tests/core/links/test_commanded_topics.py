@@ -85,7 +85,7 @@ class Silent(Told):
 
 def test_a_robot_that_takes_commands_is_told_although_its_graph_cannot_be_listed(clock: FakeClock) -> None:
     robot = Silent(clock, 0.0)
-    said = "zero was published on /cmd_vel, but who subscribes to it is not known: rosapi does not answer"
+    said = "zero was published on /cmd_vel, but its subscribers are not known: rosapi does not answer"
     assert keep_commanding_zero(robot, [(TOPIC, TWIST)]) == [said]
     assert robot.heard > 2
     assert clock.now() > commanded_topics._REACHING, "it may answer again"

@@ -199,7 +199,7 @@ def _is_reached(links: Sequence[RobotLink], topic: str, message_type: str, *, is
     try:
         listed = [{each.node for each in link.subscribers(topic) if each.may_be_others} for link in links]
     except SilentGraphError as error:
-        return is_reached and f"zero was published on {topic}, but who subscribes to it is not known: {error.problem}"
+        return is_reached and f"zero was published on {topic}, but its subscribers are not known: {error.problem}"
     alive = {node for node in listed[0] if not is_left_by_the_dead(node)}
     return is_reached and alive <= listed[-1] if alive or listed[-1] else f"nobody subscribes to {topic} any more"
 
