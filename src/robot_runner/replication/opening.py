@@ -194,15 +194,15 @@ def _zipped(path: Path, archive: zipfile.ZipFile) -> OpenPackage:
         # If the end is cut off, the last directory in the file may be that of a wheel in the package.
         problem = "the zip file's end is missing, or something stands before its beginning"
         raise PackageError(problem, where=str(path), fix=_GET_IT_AGAIN)
-    listed = {entry.filename: entry.file_size for entry in entries if _is_told(entry)}
+    listed = {entry.filename: entry.file_size for entry in entries if _is_content(entry)}
     around = _folder_around(listed)
     sizes = {name.removeprefix(around): size for name, size in listed.items()}
     faults = [*_entry_faults(path, entries), *_layout_faults(path, entries), *_header_faults(path, entries)]
     return OpenPackage(path, sizes, tuple(faults), lambda name: _blocks_of_entry(path, archive, f"{around}{name}"))
 
 
-def _is_told(entry: zipfile.ZipInfo) -> bool:
-    """Return whether an entry is a file, but for what Finder adds to each zip file, and desktops to folders."""
+def _is_content(entry: zipfile.ZipInfo) -> bool:
+    """Return whether an entry is a file of somebody's, not what Finder adds to zip files and desktops to folders."""
     return not (
         entry.is_dir() or entry.filename.startswith("__MACOSX/") or PurePosixPath(entry.filename).name in DESKTOP_FILES
     )
