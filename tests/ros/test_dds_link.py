@@ -114,7 +114,7 @@ def test_a_topic_is_reached_only_where_every_subscriber_is_connected(link, monke
     mine, heard = link(), []
     for _ in range(2):
         link().subscribe("cmd_vel", TWIST, heard.append)
-    wait_until(lambda: mine.advertise("cmd_vel", TWIST))
+    wait_until(lambda: len(mine.subscribers("cmd_vel")) == 2 and mine.advertise("cmd_vel", TWIST))
     connected = dds_transport.matched_subscriptions
     monkeypatch.setattr(dds_transport, "matched_subscriptions", lambda writer: connected(writer)[:1])
     assert not mine.advertise("cmd_vel", TWIST)
