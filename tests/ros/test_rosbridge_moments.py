@@ -18,6 +18,7 @@ from tests.waiting import PATIENCE, wait_until
 from robot_runner.core.errors import LinkError
 from robot_runner.core.events.context import SystemClock
 from robot_runner.core.events.early_end import RunInterrupted
+from robot_runner.core.links import commanded_topics
 from robot_runner.core.links.goals import GoalStatus
 from robot_runner.core.links.robot import Qos
 from robot_runner.ros import rosbridge_actions, rosbridge_frames
@@ -130,6 +131,41 @@ def test_a_stop_that_fails_for_one_robot_is_still_sent_to_the_others(server, ope
 
     link._transport._publishers["/alice/cmd_vel"].stop = fail
     assert [operation["topic"] for operation in link._transport._stops()] == ["/bob/cmd_vel"]
+
+
+@contextmanager
+def claimed_by_others(monkeypatch):
+    def refuse(*_):
+        raise LinkError("bob is in use", where="open_robot")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(commanded_topics, "claim_commanded", refuse)
+        yield
+
+
+def test_a_server_that_falls_silent_is_sent_no_stop_for_a_robot_that_others_have_claimed(server, opened, monkeypatch):
+    """Their run would have measured a stop that it had not commanded."""
+    link = opened(server)
+    link.publish("/alice/cmd_vel", TWIST, {"linear": {"x": 0.2}})
+    with claimed_by_others(monkeypatch), pytest.raises(LinkError, match="bob is in use"):
+        link.publish("/bob/cmd_vel", TWIST, {"linear": {"x": 0.2}})
+    assert [operation["topic"] for operation in link._transport._stops()] == ["/alice/cmd_vel"]
+    link.publish("/bob/cmd_vel", TWIST, {"linear": {"x": 0.2}})  # the others are done
+    stopped = [operation["topic"] for operation in link._transport._stops()]
+    assert stopped == ["/alice/cmd_vel", "/bob/cmd_vel"]
+
+
+def test_a_server_that_falls_silent_is_not_asked_to_cancel_the_goals_of_others_who_have_the_robot(
+    server, opened, monkeypatch
+):
+    """In ROS 1, the request of whoever had sent no goal would have cancelled those of all clients."""
+    robot, link = opened(server), opened(server)
+    action_type = "actionlib/Test" if link._transport.types.generation == 1 else FIBONACCI
+    robot.offer_action("/bob/dig", action_type, lambda _: {})
+    with claimed_by_others(monkeypatch), pytest.raises(LinkError, match="bob is in use"):
+        link.send_goal("/bob/dig", action_type, timeout=PATIENCE)
+    assert link._transport._stops() == []
+    link.send_goal("/bob/dig", action_type, timeout=PATIENCE).result(timeout=PATIENCE)
 
 
 @contextmanager

@@ -128,8 +128,7 @@ class LinkGoals:
         sent = SentGoal(action, self._wait, take_feedback)
         sent.client = client
         if action not in self._told:
-            tell_commanded(action, CANCELLING, graph)
-            self._told.add(action)
+            self._tell(action, client, graph)
         with self._lock:
             self._check_open(action)  # again, as finding the server may have taken seconds
             self._goals = [each for each in self._goals if not each.is_over]
@@ -186,6 +185,17 @@ class LinkGoals:
             first = faults[0]
             problem = f"a goal that is not over could not be cancelled: {first.problem}"
             raise LinkError(problem, where=first.where, fix=f"See that the robot stands still. {first.fix}") from first
+
+    def _tell(self, action: str, client: ActionClient, graph: str | None) -> None:
+        """Tell a standby of an action; leave it where others have the robot, whose goals must not be cancelled."""
+        try:
+            tell_commanded(action, CANCELLING, graph)
+        except LinkError:
+            with self._lock:
+                self._clients = {key: each for key, each in self._clients.items() if each is not client}
+            _leave(client)
+            raise
+        self._told.add(action)
 
     def _open_goals(self) -> list[SentGoal]:
         # In ROS 1, cancelling a goal that has no key yet would cancel those of all clients.

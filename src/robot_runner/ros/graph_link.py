@@ -11,16 +11,9 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from robot_runner.core.errors import LinkError
 from robot_runner.core.events.early_end import raised_in_thread
+from robot_runner.core.links.commanded_topics import tell_commanded
 from robot_runner.core.links.graph_names import full_name, namespace_prefix
-from robot_runner.core.links.robot import (
-    Goal,
-    GoalExecution,
-    GraphEndpoint,
-    Message,
-    Qos,
-    RawMessage,
-    Subscription,
-)
+from robot_runner.core.links.robot import Goal, GoalExecution, GraphEndpoint, Message, Qos, RawMessage, Subscription
 from robot_runner.ros.action_calls import LinkGoals
 from robot_runner.ros.action_server import GoalServer
 from robot_runner.ros.first_message import FirstMessage
@@ -104,7 +97,7 @@ class GraphLink:
         """Publish one message; at the first on a topic, wait until the existing subscribers are connected."""
         name = self._name(topic)
         advertised = self._advertised.get((name, qos)) or self._advertise(name, message_type, message, qos)
-        advertised.command(name)
+        self._command(name, qos, advertised)
         if advertised.message_type != message_type:
             check_type(name, message_type, [advertised.message_type])
         complete = completed(advertised.shape, message, where=name)
@@ -122,7 +115,7 @@ class GraphLink:
         name = self._name(topic)
         advertised = self._advertise(name, message_type, {}, qos)
         if is_commanded:
-            advertised.command(name)
+            self._command(name, qos, advertised)
         check_type(name, message_type, [advertised.message_type])
         return advertised.publisher.reach()  # also subscribers since it was first advertised
 
@@ -323,8 +316,26 @@ class GraphLink:
                 completed(shape, message, where=name)  # a wrong message is refused before the topic is on the graph
                 advertise = partial(self._transport.advertise, name, plain, qos)
                 note = partial(self._advertised.__setitem__, (name, qos))
-                known = self._keep(name, lambda: Advertised(plain, shape, advertise(), self.graph), note)
+                known = self._keep(name, lambda: Advertised(plain, shape, advertise()), note)
             return known
+
+    def _command(self, name: str, qos: Qos, advertised: Advertised) -> None:
+        """Tell the standby process that velocities are commanded on a topic, if its type has them.
+
+        Where others have claimed the robot, the topic is left: nothing of ours is to come there, not even zero.
+        """
+        if advertised.is_commanded or not advertised.drives:
+            return
+        try:
+            tell_commanded(name, advertised.message_type, self.graph)  # where that fails, nothing is published
+        except LinkError:
+            with self._books:
+                if self._advertised.get((name, qos)) is advertised:  # another thread may have left it, and come back
+                    del self._advertised[name, qos]
+            with suppress(Exception):  # that it was refused is what its caller has to know
+                advertised.close()
+            raise
+        advertised.is_commanded = True
 
     def _subscribe(
         self, topic: str, message_type: str, deliver: Callable[[Reception], None], qos: Qos | None, lane: Lane

@@ -11,7 +11,7 @@ from itertools import chain
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import LinkError
-from robot_runner.core.links.commanded_topics import TWISTS, VELOCITIES, tell_commanded
+from robot_runner.core.links.commanded_topics import TWISTS, VELOCITIES
 from robot_runner.ros.link_faults import as_link_error, do_all
 from robot_runner.ros.sent_commands import is_watched, note_sent
 from robot_runner.ros.shapes import Shape, completed
@@ -33,30 +33,13 @@ class Advertised:
     message_type: str
     shape: Shape
     publisher: TopicPublisher
-    graph: str | None = ""
     is_commanded: bool = False
-    is_refused: bool = False
     _sending: threading.RLock = field(default_factory=threading.RLock)
 
     @property
     def drives(self) -> bool:
         """Whether it commands velocities, each of which a robot executes until the next one."""
         return self.message_type in VELOCITIES
-
-    @property
-    def may_drive(self) -> bool:
-        """Whether velocities are, or may have been, commanded; not where that was refused: others have the robot."""
-        return self.drives and (self.is_commanded or not self.is_refused)
-
-    def command(self, topic: str) -> None:
-        """Note that velocities are commanded on the topic, if its type has them, and tell the standby process."""
-        if self.drives and not self.is_commanded:
-            try:
-                tell_commanded(topic, self.message_type, self.graph)  # where that fails, nothing is published
-            except LinkError:
-                self.is_refused = True
-                raise
-            self.is_commanded = True
 
     @contextmanager
     def sending(self) -> Iterator[None]:
@@ -104,7 +87,7 @@ def _telling(topic: str) -> Iterator[None]:
 
 def driven_of(advertised: Mapping[tuple[str, Qos], Advertised]) -> list[tuple[str, Advertised]]:
     """Return the topics on which velocities are, or may have been, commanded, the last one first."""
-    return [(topic, each) for (topic, _), each in reversed(list(advertised.items())) if each.may_drive]
+    return [(topic, each) for (topic, _), each in reversed(list(advertised.items())) if each.drives]
 
 
 def halt_all(driven: Iterable[tuple[str, Advertised]]) -> None:

@@ -104,7 +104,7 @@ class RosbridgeTransport:
         is_latched = qos is Qos.TRANSIENT_LOCAL
         with self._lock:
             known = self._publishers.get(topic)
-            if known is not None and known.message_type == message_type and (known.is_latched or not is_latched):
+            if known is not None and known.offers(message_type, is_latched=is_latched):
                 return known
             self._session.command_zero_first()  # asking rosapi may take long
             check_type(topic, message_type, self._told_type(topic))
@@ -197,7 +197,7 @@ class RosbridgeTransport:
         stops = self.actions.cancel_requests() if isinstance(self.actions, RosbridgeActions) else []
         for each in list(self._publishers.values()):
             with suppress(Exception):  # a failure at one robot must not affect the others
-                stops += [each.stop()] if each.message_type in _ENDING else []
+                stops += [each.stop()] if each.is_open and each.message_type in _ENDING else []
         return stops
 
     def _told_type(self, topic: str) -> list[str]:
@@ -292,6 +292,14 @@ class _Publisher:
         operation = {"op": "advertise", "id": self._id, "topic": topic, "type": types.wire_name(message_type)}
         session.request({**operation, "latch": is_latched}, where=topic)
         self._since = time.monotonic()
+
+    @property
+    def is_open(self) -> bool:
+        return self._id is not None
+
+    def offers(self, message_type: str, *, is_latched: bool) -> bool:
+        """Whether messages of this type can be published by it, and latched where that is wanted."""
+        return self.is_open and self.message_type == message_type and (self.is_latched or not is_latched)
 
     def publish(self, message: Message) -> None:
         self._session.send(self._operation(message))
