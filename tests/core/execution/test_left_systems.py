@@ -170,6 +170,22 @@ def test_who_interrupts_what_is_seen_to_first_is_told_what_was_done(
     assert made_safe(experiment)
 
 
+@pytest.mark.parametrize("refusing", ["HeldClaims", "ExperimentLock"])
+def test_who_interrupts_while_others_have_what_is_claimed_ends_the_program(
+    experiment: Experiment, monkeypatch: pytest.MonkeyPatch, refusing: str
+) -> None:
+    SystemsFile(experiment.folder).begin(None, left(experiment))
+
+    def interrupt_and_refuse(*_: object) -> None:
+        signal.raise_signal(signal.SIGINT)
+        raise ExecutionError("in use by others")
+
+    monkeypatch.setattr(left_systems, refusing, interrupt_and_refuse)
+    (interrupted,) = see_to_it_first(experiment)
+    assert interrupted.is_error
+    assert not made_safe(experiment)
+
+
 def test_what_is_left_is_not_seen_to_first_while_another_process_executes_the_experiment(
     experiment: Experiment,
 ) -> None:

@@ -61,6 +61,7 @@ def see_to_it_first(experiment: Experiment) -> list[Finding]:
         return goes_on(root, counts_orphans=False)
 
     held = held_claims(Claims(experiment.parameters, experiment.plugins, experiment.events), experiment.model)
+    found: list[Finding] = []
     with Interruption() as interruption, ExitStack() as opened:
         try:
             name = experiment.parameters.experiment_name
@@ -68,13 +69,14 @@ def see_to_it_first(experiment: Experiment) -> list[Finding]:
             if is_ours:
                 opened.enter_context(ExperimentLock(folder.lock))
         except (ExecutionError, StorageError):
-            return []
-        try:
-            with told_if_refused() as found:
-                found.extend(see_to_what_others_left(experiment, earlier, held))
-                found.extend(see_to_what_is_left(experiment) if is_ours else ())
-        except ExecutionError as error:
-            return [*error.findings]
+            pass  # others have it
+        else:
+            try:
+                with told_if_refused() as found:
+                    found.extend(see_to_what_others_left(experiment, earlier, held))
+                    found.extend(see_to_what_is_left(experiment) if is_ours else ())
+            except ExecutionError as error:
+                return [*error.findings]
     if interruption.is_requested:  # no exception: what was done is to be told
         found.append(Finding.error("", "interrupted before the first run", "Start the experiment again."))
     return found
