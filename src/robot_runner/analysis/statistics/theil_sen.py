@@ -92,16 +92,24 @@ def _slopes_of_ranks(places: Floats, values: Floats, ranks: tuple[int, ...]) -> 
 
 
 def _falling(values: Floats) -> int:
-    """Return the number of inversions, pairs with the larger value first, by a merge sort."""
+    """Return the number of inversions, pairs with the larger value first."""
     size = 1 << (len(values) - 1).bit_length()
-    rows: NDArray[np.intp] = np.arange(size)  # the padding is larger than all values
-    rows[np.argsort(values, kind="stable")] = np.arange(len(values))
-    found, half = 0, 1
-    while half < size:
-        rows = rows.reshape(-1, 2 * half)
-        order = np.argsort(rows, axis=1, kind="stable")
-        # The place of a value of the first half is its place there plus the number of smaller ones in the other half.
-        moved = np.flatnonzero(order < half) % (2 * half)
-        found += int(moved.sum()) - len(rows) * half * (half - 1) // 2
-        rows, half = np.take_along_axis(rows, order, axis=1), 2 * half
+    ranks: NDArray[np.int32] = np.arange(size, dtype=np.int32)  # the padding is larger than all values
+    ranks[_stable_order(values)] = np.arange(len(values), dtype=np.int32)
+    found, half = 0, size // 2
+    while half:
+        # Each group of 2 * half ranks is split into its lower and its upper ones, which keep their order.
+        groups = size // (2 * half)
+        is_upper = (ranks & half) != 0
+        lower, upper = np.flatnonzero(~is_upper), np.flatnonzero(is_upper)
+        # The place of a lower rank in its group is its place among these plus the number of upper ones before it.
+        found += int((lower & (2 * half - 1)).sum()) - groups * half * (half - 1) // 2
+        ranks = np.stack([ranks.take(each).reshape(groups, half) for each in (lower, upper)], axis=1).ravel()
+        half //= 2
     return found
+
+
+def _stable_order(values: Floats) -> NDArray[np.intp]:
+    order = np.argsort(values)  # much faster than a stable sort, from which only equal values differ
+    in_order = values[order]
+    return np.argsort(values, kind="stable") if (in_order[1:] == in_order[:-1]).any() else order
