@@ -45,6 +45,8 @@ _INTERVAL, _UNBROKEN = re.compile(r"\[[^\[\]]*\]"), "\N{NO-BREAK SPACE}"
 _KEPT = "\n\u200c\u200d"
 #: The power of ten of a number, which papers print as a superscript.
 _POWER = re.compile(r"(?<=[0-9])e([+-])0*([0-9]+)")
+#: Of the compression of tables.
+_LEVEL = 6
 _BLANK_LINES = re.compile(r"\n{3,}")
 #: How many texts are remembered as LaTeX: the table of many runs says few different ones over and over.
 _REMEMBERED = 10_000
@@ -175,7 +177,9 @@ def _signs() -> Iterator[tuple[str, str]]:
             yield chr(code), written if is_latin else f"${written}$"
 
 
-_LATEX = dict(_signs())
+_LATEX = str.maketrans(dict(_signs()))
+#: Between two equal signs, which LaTeX would make one.
+_TWICE = re.compile("(?<=-)(?=-)|(?<=')(?=')|(?<=,)(?=,)")
 
 
 @lru_cache(_REMEMBERED)
@@ -189,11 +193,8 @@ def latex_text(text: str) -> str:
         ('-{}-fast', '{}[0, 1]')
     """
     line = normalize("NFC", verbatim(text))  # composes letters and accents, and makes an ohm sign an omega
-    signs = (
-        _LATEX.get(sign, sign) + "{}" * (sign == after and sign in "-',")
-        for sign, after in zip(line, f"{line[1:]} ", strict=False)
-    )
-    return "{}" * line.startswith(("[", "*")) + "".join(signs)
+    written = "{}".join(part.translate(_LATEX) for part in _TWICE.split(line))
+    return f"{'{}' * line.startswith(('[', '*'))}{written}"
 
 
 def latex_of(table: Table, labels: Callable[[str], str]) -> str:
@@ -203,14 +204,32 @@ def latex_of(table: Table, labels: Callable[[str], str]) -> str:
     broken into lines, and a table that is still too wide is scaled down. `labels` returns its label for references.
     """
     table = _for_print(table.for_readers)
-    rows = [[column.name for column in table.columns], *([cell.text for cell in row] for row in table.rows)]
-    width = sum(max(map(len, column)) + _GAP for column in zip(*rows, strict=True))
+    names = [column.name for column in table.columns]
+    rows = [[cell.text for cell in row] for row in table.rows]
+    width = sum(max(map(len, column)) + _GAP for column in zip(names, *rows, strict=True))
     star = "*" * (width > _COLUMN_OF_A_PAPER)
-    cell_text = _in_lines if width > _PAGE_OF_A_PAPER else str
+    cell_text = _in_lines if width > _PAGE_OF_A_PAPER else latex_text
     # IEEE's captions are in small capitals, which would print mW as MW.
-    caption = Markup(re.sub(r"\([^()]*\)", r"\\textnormal{\g<0>}", latex_text(table.caption)))  # noqa: S704 - as above
-    template = _papers().get_template("table.tex.j2")
-    return template.render(table=table, caption=caption, label=labels(table.name), star=star, cell_text=cell_text)
+    caption = re.sub(r"\([^()]*\)", r"\\textnormal{\g<0>}", latex_text(table.caption))
+    note = rf"\parbox{{\linewidth}}{{\centering\footnotesize {latex_text(table.note)}}}"
+    lines = (
+        r"% needs \usepackage{booktabs,graphicx} and UTF-8",
+        rf"\begin{{table{star}}}",
+        r"  \centering",
+        rf"  \caption{{{caption}}}",
+        rf"  \label{{tab:{labels(table.name)}}}",
+        r"  \resizebox{\ifdim\width>\linewidth\linewidth\else\width\fi}{!}{%",
+        rf"  \begin{{tabular}}{{{''.join('r' if column.is_number else 'l' for column in table.columns)}}}",
+        r"    \toprule",
+        rf"    {' & '.join(map(latex_text, names))} \\",
+        r"    \midrule",
+        *(rf"    {' & '.join(map(cell_text, row))} \\" for row in rows),
+        r"    \bottomrule",
+        r"  \end{tabular}}",
+        *((r"  \par\smallskip", f"  {note}") if table.note else ()),
+        rf"\end{{table{star}}}",
+    )
+    return "\n".join(lines) + "\n"
 
 
 def _for_print(table: Table) -> Table:
@@ -229,7 +248,7 @@ def _for_print(table: Table) -> Table:
 
 
 @lru_cache(_REMEMBERED)
-def _in_lines(text: str) -> Markup:
+def _in_lines(text: str) -> str:
     """Return the text of a cell as LaTeX, broken into lines; each item of an enumeration begins a line."""
     whole = _INTERVAL.sub(lambda found: found[0].replace(" ", _UNBROKEN), text)
     parts = whole.split("; ")
@@ -237,8 +256,7 @@ def _in_lines(text: str) -> Markup:
     folded = (textwrap.wrap(part, _LINE_OF_A_CELL, break_long_words=False) or [part] for part in parts)
     lines = [latex_text(line.replace(_UNBROKEN, " ")) for line in chain.from_iterable(folded)]
     written = r" \\ ".join(lines)
-    stacked = rf"\begin{{tabular}}[t]{{@{{}}l@{{}}}}{written}\end{{tabular}}" if len(lines) > 1 else written
-    return Markup(stacked)  # noqa: S704 - each line is escaped for LaTeX
+    return r"\begin{tabular}[t]{@{}l@{}}" + written + r"\end{tabular}" if len(lines) > 1 else written
 
 
 def latex_label(name: str) -> str:
@@ -281,7 +299,7 @@ def templates_of(package: str, finalize: Callable[[object], object], **settings:
 
 
 @cache
-def _environment(escape: Callable[[str], str] | None = None, **settings: str) -> Environment:
+def _environment(escape: Callable[[str], str] | None = None) -> Environment:
     """Return the templates of a format; they escape values by `escape`, or as HTML, unless these are `Markup`."""
 
     def finalize(value: object) -> object:
@@ -291,7 +309,7 @@ def _environment(escape: Callable[[str], str] | None = None, **settings: str) ->
             return verbatim(str(value), _KEPT)
         return Markup(escape(str(value)))  # noqa: S704 - that it is escaped for another format is the point
 
-    environment = templates_of(_PACKAGE, finalize, autoescape=True, **settings)
+    environment = templates_of(_PACKAGE, finalize, autoescape=True)
     environment.globals["kind_of"] = lambda block: type(block).__name__
     return environment
 
@@ -302,20 +320,6 @@ def _pages() -> Environment:
     shared = partial(_asset, package="robot_runner.core")  # assets that the report shares with the live page
     environment.globals.update(asset=_asset, shared_asset=shared, json_of=_json_of)
     return environment
-
-
-@cache
-def _papers() -> Environment:
-    # Braces are LaTeX syntax, so templates need other delimiters.
-    return _environment(
-        latex_text,
-        block_start_string="<%",
-        block_end_string="%>",
-        variable_start_string="<<",
-        variable_end_string=">>",
-        comment_start_string="<#",
-        comment_end_string="#>",
-    )
 
 
 def _asset(name: str, package: str = _PACKAGE) -> Markup:
@@ -334,8 +338,11 @@ def _json_of(data: Mapping[str, Any]) -> Markup:
 def _archive(tables: Iterable[TableFiles]) -> Markup:
     """Return a data URL of an archive of all tables: they are similar, and single files take ten times the space."""
     into = io.BytesIO()
-    # Without times, so that the same tables give the same bytes.
-    with gzip.GzipFile(fileobj=into, mode="wb", mtime=0) as packed, tarfile.open(fileobj=packed, mode="w") as archive:
+    # Without times, so that the same tables give the same bytes; the usual level is thrice as slow and saves nothing.
+    with (
+        gzip.GzipFile(fileobj=into, mode="wb", compresslevel=_LEVEL, mtime=0) as packed,
+        tarfile.open(fileobj=packed, mode="w") as archive,
+    ):
         for name, content in chain.from_iterable(table.contents for table in tables):
             entry = tarfile.TarInfo(name)
             entry.size = len(content)
