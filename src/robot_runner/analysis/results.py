@@ -118,6 +118,10 @@ class Results(ExperimentFacts):
     @property
     def excluded(self) -> pd.DataFrame:
         """The excluded runs, as in `all_runs`: `excluded` is the reason, `excluded_at` the time (UTC)."""
+        return self._excluded.copy(deep=False)
+
+    @cached_property
+    def _excluded(self) -> pd.DataFrame:
         return excluded_frame(self.all_runs, ExcludedRuns.read(self._files.journal))
 
     @property

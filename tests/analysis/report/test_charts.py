@@ -12,6 +12,7 @@ from tests.analysis.experiment_folders import two_tasks
 
 from robot_runner.analysis import load_results
 from robot_runner.analysis.figures.courses import Course, MissionCourses
+from robot_runner.analysis.report import charts
 from robot_runner.analysis.report.charts import course_chart
 from robot_runner.analysis.report.document import report_document
 from robot_runner.analysis.report.material import Material
@@ -47,6 +48,15 @@ def test_a_point_is_told_as_the_table_of_runs_has_its_value(tmp_path, kind, valu
     [place] = [at for at, column in enumerate(runs.columns) if column.name == "Energy (J)"]
     cells = [row[place].text for row in runs.rows]
     assert chart.data["measures"][0]["texts"] == [f"{cell} J" if cell != MISSING else cell for cell in cells]
+
+
+def test_of_many_runs_the_chart_shows_an_even_share_and_says_so(tmp_path, monkeypatch):
+    monkeypatch.setattr(charts, "_MOST_POINTS", 3)
+    results = load_results(two_tasks(tmp_path / "trial", PRESSURES, PRESSURES).root)
+    chart = charts.points_chart(Material(results, analyse(results)))
+    assert chart.data["runs"] == ["r_1", "r_4", "r_7"]
+    assert chart.caption.startswith("8 runs in the order of execution. One in 3 is shown. ")
+    assert {len(chart.data[name]) for name in ("order", "group")} == {len(chart.data["measures"][0]["values"])} == {3}
 
 
 @pytest.mark.long

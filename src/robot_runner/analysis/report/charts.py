@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 
 #: Single runs in a chart: each takes about 3 kB of the page.
 _MOST_RUNS = 40
+#: Runs in a chart of all: more would be as many megabytes, and points on a screen hide each other long before.
+_MOST_POINTS = 10_000
 _DIGITS = 4
 
 
@@ -69,7 +71,7 @@ def course_chart(name: str, mission: MissionCourses) -> Chart:
 
 
 def points_chart(material: Material) -> Chart | None:
-    """Return a chart of all measures of all runs that are done, in the order of execution; None without any."""
+    """Return a chart of all measures of the runs that are done, in the order of execution; None without any."""
     numeric = [each.name for each in material.statistics.measures if each.overall is not None and each.overall.n]
     done = material.done
     if not numeric or done.empty:
@@ -78,7 +80,9 @@ def points_chart(material: Material) -> Chart | None:
     is_known = set(done[RUN_ID]) <= set(begun)
     places = {run_id: place for place, run_id in enumerate(begun if is_known else material.runs[RUN_ID], start=1)}
     order = "order of execution" if is_known else "order of the table"
-    ordered = done.assign(place=done[RUN_ID].map(places)).sort_values("place", kind="stable")
+    in_order = done.assign(place=done[RUN_ID].map(places)).sort_values("place", kind="stable")
+    share = -(-len(in_order) // _MOST_POINTS)
+    ordered = in_order[::share]
     data = {
         "place": f"Place in the {order}",
         "order": [int(place) for place in ordered["place"]],
@@ -98,7 +102,8 @@ def points_chart(material: Material) -> Chart | None:
             for name in numeric
         ],
     }
-    caption = f"{counted(len(ordered), 'run')} in the {order}. Point at one for its id and its value."
+    some = f" One in {share} is shown." if share > 1 else ""
+    caption = f"{counted(len(in_order), 'run')} in the {order}.{some} Point at one for its id and its value."
     return Chart("chart-runs", "points", caption, data)
 
 

@@ -34,6 +34,8 @@ from robot_runner.core.words import counted, shown_duration
 
 _TONES = {RunStatus.DONE.value: Tone.GOOD, RunStatus.FAILED.value: Tone.BAD}
 _WORDS = {RunStatus.TODO.value: "To do"}
+#: The events at which a measurement begins and ends.
+_EDGES = ("start_measurement", "stop_measurement")
 #: Stamps and durations are rounded to milliseconds and taken one after the other: so much may be between them, s.
 _ROUNDED = 0.1
 
@@ -112,7 +114,10 @@ def _run_table(material: Material) -> Table:
         text("What looked odd", lambda row: odd.get(row[RUN_ID], "")),
     )
     caption = "All runs, in the order of the run table."
-    table = build_table("runs", caption, results.all_runs.to_dict("records"), fields)
+    # The time stamps, which the table does not show, would take as long as the rest of it.
+    shown = {RUN_ID, STATUS, EXCLUDED, *results.factors, *repetition, *results.measures}
+    runs = results.all_runs
+    table = build_table("runs", caption, runs[[name for name in runs if name in shown]].to_dict("records"), fields)
     return table.without_blank("Excluded", "What looked odd", "Attempts", "Took")
 
 
@@ -204,7 +209,7 @@ def attempt_spans(material: Material) -> tuple[AttemptSpan, ...]:
     began = first["started_at"] - pd.Timedelta(seconds=set_by(first))
     earlier = AttemptSpan("", "", 0.0, 0.0, None, is_done=True)
     events = material.results.events()
-    told = events[["run_id", "event", "at", "clock_s"]].itertuples(index=False)
+    told = events.loc[events["event"].isin(_EDGES), ["run_id", "event", "at", "clock_s"]].itertuples(index=False)
     stamps = {(run, str(event)): (at, clock) for run, event, at, clock in told}
     last = set(attempts.drop_duplicates("run_id", keep="last").index)
     spans = []
@@ -218,7 +223,7 @@ def attempt_spans(material: Material) -> tuple[AttemptSpan, ...]:
             began -= pd.Timedelta(seconds=earlier.end - start)
             start = earlier.end
         end = start + (0.0 if pd.isna(row.seconds) else float(row.seconds))
-        edges = [stamps.get((row.run_id, name)) for name in ("start_measurement", "stop_measurement")]
+        edges = [stamps.get((row.run_id, name)) for name in _EDGES]
         known = [((edge[0] - began).total_seconds() - by, edge[1]) for edge in edges if edge and row.Index in last]
         measured = _measured(known, (start, end), set_in(row))
         earlier = AttemptSpan(row.run_id, label, start, end, measured, is_done=row.status == "done")
