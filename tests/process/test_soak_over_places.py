@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
-from tests.cluster.conftest import Cluster, apart_from
 from tests.forked_program import MARK, RUNS, ForkedProgram
 from tests.process.graph_simulation import simulated_robot
 from tests.ros.dds_domain import LOOPBACK, claim_domain
@@ -25,6 +24,8 @@ from robot_runner.core.storage.outliving import has_in_environment, processes
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
+
+    from tests.cluster.conftest import Cluster
 
 CONFIG = """
 import random
@@ -217,6 +218,9 @@ def torture(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callabl
             return soaked.faults
 
         def over_cluster(repetitions: int, kills: int, chance: random.Random, pauses: float) -> Counter[str]:
+            # Imported here: each process that other tests of this room fork would copy dask.
+            from tests.cluster.conftest import Cluster, apart_from
+
             expected = untouched(tmp_path, repetitions)
             (tmp_path / "dask").mkdir()
             cluster = opened.enter_context(closing(Cluster(tmp_path / "dask")))
