@@ -114,6 +114,8 @@ class MeasureData:
     @property
     def lacking(self) -> dict[str, list[str]]:
         """The covariates that runs with a value lack, by run; runs that lack none are left out."""
+        if not self.covariates:
+            return {}
         every = self.every[self.every[VALUE].notna() & ~self.every[RUN_ID].isin(set(self.frame[RUN_ID]))]
         found = {
             run_id: [name for name in self.covariates if row[covariate_column(name)] != row[covariate_column(name)]]

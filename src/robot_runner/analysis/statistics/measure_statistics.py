@@ -222,8 +222,9 @@ def _exact(
 
 
 def _lacking(data: MeasureData) -> Iterator[LeftOut]:
-    values = dict(zip(data.every[RUN_ID], data.every[VALUE], strict=True))
-    for run_id, names in data.lacking.items():
+    lacking = data.lacking
+    values = dict(zip(data.every[RUN_ID], data.every[VALUE], strict=True)) if lacking else {}
+    for run_id, names in lacking.items():
         yield LeftOut(run_id, float(values[run_id]), Reason.COVARIATE, f"{enumerated(names)} is missing")
 
 

@@ -304,21 +304,22 @@ def recorded_rows(folder: ExperimentFolder, columns: Sequence[ColumnDescription]
     # Read the journal first: a table that is written meanwhile is newer than its records, never older.
     ended: set[str] = set()
     newer: dict[str, dict[str, Any]] = {}
-    for record in read_journal(folder.journal, kinds={"attempt_finished", "table_written"}):
+    excluded = ExcludedRuns()
+    for record in read_journal(folder.journal, kinds={"attempt_finished", "table_written", *EXCLUSION_KINDS}):
+        excluded.take(record)
         if record["kind"] == "table_written":
             newer.clear()
-        else:
+        elif record["kind"] == "attempt_finished":
             newer[record["run"]] = record
             (ended.discard if record["status"] == "interrupted" else ended.add)(record["run"])
-    excluded = ExcludedRuns.read(folder.journal) if folder.journal.exists() else None
     layout = TableLayout.of_schema(columns)
-    if excluded is not None and excluded.were_any:
+    if excluded.were_any:
         layout = replace(layout, has_exclusions=True)
     rows = read_run_table(folder.run_table, layout)
     for record in newer.values():
         if rows.place_of(record["run"]) is not None:
             rows.take_end(record)
-    if excluded is not None:  # the journal decides; the next session settles a cell that was edited by hand
+    if folder.journal.exists():  # it decides; the next session settles a cell that was edited by hand
         for run_id in rows.values(RUN_ID) if rows.layout.has_exclusions else ():
             rows.exclude(run_id, excluded.reason(run_id))
     return rows, ended
