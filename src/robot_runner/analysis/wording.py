@@ -28,14 +28,19 @@ _P_DIGITS, _STATISTIC_DIGITS, _MOST_DIGITS = 3, 3, 17
 _ROUNDING = 1e-12
 _DIGITS = 4
 _LARGE, _SMALL, _HUGE = 1e4, 1e-4, 1e7
+_RAISED = str.maketrans("0123456789-", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻")
 
 
 def shown_number(value: float | None, digits: int = _DIGITS) -> str:
-    """Return a number with so many significant digits; digits before the decimal point are kept up to ten million.
+    """Return a number with so many significant digits, as journals print it: from ten million on with a power of ten.
+
+    Below that, all digits before the decimal point are kept; those of a whole number (int) always are.
 
     Example:
         >>> [shown_number(each) for each in (877.1234, 0.012346, 16, 123456.7)]
         ['877.1', '0.01235', '16', '123,457']
+        >>> shown_number(1006000000.0) == f"1.006{TIMES}10⁹"
+        True
     """
     if value is None or not math.isfinite(value):
         return MISSING
@@ -46,7 +51,8 @@ def shown_number(value: float | None, digits: int = _DIGITS) -> str:
     elif _LARGE <= abs(value) < _HUGE:
         text = f"{value:,.{max(0, digits - len(f'{abs(value):.0f}'))}f}"
     elif abs(value) < _SMALL or abs(value) >= _HUGE:
-        text = f"{value:.{digits - 1}e}"
+        mantissa, _, power = f"{value:.{digits - 1}e}".partition("e")
+        text = f"{mantissa}{TIMES}10{str(int(power)).translate(_RAISED)}"
     else:
         text = f"{value:#.{digits}g}".rstrip(".")
         text = f"{value:,.0f}" if "e" in text and abs(value) > 1 else text  # rounding up made an exponent

@@ -22,7 +22,7 @@ from robot_runner.analysis.report.rendering import (
     markdown_of,
     markdown_text,
 )
-from robot_runner.analysis.wording import MINUS, MISSING
+from robot_runner.analysis.wording import MISSING, shown_number
 
 texts = st.text(st.characters(exclude_categories=["Cs"]), max_size=40)
 
@@ -149,7 +149,8 @@ def test_units_in_captions_in_latex_keep_their_case_where_captions_are_small_cap
 
 def test_a_table_in_latex_has_its_note_and_powers_of_ten_as_papers_print_them():
     columns = (Column("Log e-05"), Column("Power", is_number=True), Column("CI", is_number=True))
-    row = (Cell("f1.0e-05", "f1.0e-05"), Cell(1.5e-5, "1.500e-05"), Cell(None, f"[{MINUS}1.0e+09, 2.0e+12]"))
+    interval = f"[{shown_number(-1e9, 2)}, {shown_number(2e12, 2)}]"
+    row = (Cell("f1.0e-05", "f1.0e-05"), Cell(1.5e-5, shown_number(1.5e-5)), Cell(None, interval))
     written = latex_of(Table("t", "Power.", columns, (row,), "CI: 95% confidence interval."), latex_label)
     assert r"f1.0e-05 & 1.500$\times$10\textsuperscript{$-$}\textsuperscript{5} & {}[$-$1.0$\times$10" in written
     assert r"\textsuperscript{9}, 2.0$\times$10\textsuperscript{1}\textsuperscript{2}] \\" in written

@@ -10,6 +10,7 @@ from tests.long_cases import long_but
 from robot_runner.analysis.comparison.comparing import compare
 from robot_runner.analysis.comparison.comparison_document import write_comparison
 from robot_runner.analysis.report.writing import write_report
+from robot_runner.analysis.wording import TIMES
 
 VISIBLE = "[...document.querySelectorAll('{}')].filter(each => each.getClientRects().length > 0)"
 
@@ -206,7 +207,7 @@ CanvasRenderingContext2D.prototype.fillText = function (text, ...more) {
     ("values", "marks"),
     [
         ((0.00021, 0.00034, 0.00047), {"0.00020", "0.00025", "0.00030"}),
-        ((1.0e-9, 1.4e-9, 2.6e-9), {"1.0e-09", "1.5e-09", "2.0e-09", "2.5e-09"}),
+        ((1.0e-9, 1.4e-9, 2.6e-9), {f"1.0{TIMES}10⁻⁹", f"1.5{TIMES}10⁻⁹", f"2.0{TIMES}10⁻⁹", f"2.5{TIMES}10⁻⁹"}),
         ((-1200.0, -1250.5, -1400.0), {f"\N{MINUS SIGN}1,{part}" for part in (400, 350, 300, 250, 200)}),
         ((1e9, 1e9 + 20, 1e9 + 30), {"1,000,000,000", "1,000,000,010", "1,000,000,020"}),
         ((0.0, 0.5, 1.25), {"0.00", "0.25", "0.50"}),

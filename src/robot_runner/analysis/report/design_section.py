@@ -150,11 +150,12 @@ def _factor_table(material: Material) -> Table:
         return [each for each in found if name not in within or str(each) != IDLE]
 
     fields = (
-        text("Factor", lambda name: named_within(material.results.label(name), within.get(name, ""))),
+        text("Factor", lambda name: named_within(name, within.get(name, ""))),
+        text("Unit", material.results.unit),
         text("Treatments", lambda name: listed([each if each != "" else EMPTY for each in treatments(name)], shown=12)),
         number("How many", lambda name: len(treatments(name))),
     )
-    return build_table("factors", "Factors and their treatments.", names, fields)
+    return build_table("factors", "Factors and their treatments.", names, fields).without_blank("Unit")
 
 
 def _measure_table(material: Material) -> Table:

@@ -15,7 +15,7 @@ import re
 import tarfile
 import textwrap
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache, lru_cache, partial
 from importlib.resources import files
 from itertools import chain
@@ -30,7 +30,7 @@ from robot_runner.analysis.report.drawings import drawing_of
 from robot_runner.analysis.statistics.experiment_statistics import OnStep, unheard
 
 if TYPE_CHECKING:
-    from robot_runner.analysis.report.blocks import Cell, Column, Document, Table
+    from robot_runner.analysis.report.blocks import Document, Table
 
 _PACKAGE = "robot_runner.analysis.report"
 #: The most rows of a table on a page; files have all rows.
@@ -43,8 +43,6 @@ _PAGE_OF_A_PAPER, _LINE_OF_A_CELL = 105, 36
 _INTERVAL, _UNBROKEN = re.compile(r"\[[^\[\]]*\]"), "\N{NO-BREAK SPACE}"
 #: Invisible characters that are kept on a page: line breaks, and joiners of letters and of parts of a character.
 _KEPT = "\n\u200c\u200d"
-#: The power of ten of a number, which papers print as a superscript.
-_POWER = re.compile(r"(?<=[0-9])e([+-])0*([0-9]+)")
 #: Of the compression of tables.
 _LEVEL = 6
 _BLANK_LINES = re.compile(r"\n{3,}")
@@ -144,7 +142,6 @@ _MATHEMATICS = (
     "\N{GREEK RHO SYMBOL}varrho"
 )
 _SUPERSCRIPTS = dict(zip("⁰¹²³⁴⁵⁶⁷⁸⁹⁺⁼⁽⁾ⁿⁱ", "0123456789+=()ni", strict=True))
-_RAISED = {plain: sign for sign, plain in _SUPERSCRIPTS.items()} | {"-": "⁻"}
 _SUBSCRIPTS = dict(zip("₀₁₂₃₄₅₆₇₈₉₊₌₍₎ₐₑₒₓₙᵢ", "0123456789+=()aeoxni", strict=True))
 #: Greek letters from each code point on: LaTeX has no command for letters that look like Latin ones.
 _GREEK = (
@@ -203,7 +200,7 @@ def latex_of(table: Table, labels: Callable[[str], str]) -> str:
     A table that is too wide for a column of a paper spans the page. If it is too wide for the page, long cells are
     broken into lines, and a table that is still too wide is scaled down. `labels` returns its label for references.
     """
-    table = _for_print(table.for_readers)
+    table = table.for_readers
     names = [column.name for column in table.columns]
     rows = [[cell.text for cell in row] for row in table.rows]
     width = sum(max(map(len, column)) + _GAP for column in zip(names, *rows, strict=True))
@@ -230,21 +227,6 @@ def latex_of(table: Table, labels: Callable[[str], str]) -> str:
         rf"\end{{table{star}}}",
     )
     return "\n".join(lines) + "\n"
-
-
-def _for_print(table: Table) -> Table:
-    """Return a table whose numbers have powers of ten as superscripts; texts stay as they are."""
-
-    def power(found: re.Match[str]) -> str:
-        digits = f"{found[1].strip('+')}{found[2]}"
-        return f"\N{MULTIPLICATION SIGN}10{''.join(_RAISED[digit] for digit in digits)}"
-
-    def printed(column: Column, cell: Cell) -> Cell:
-        # Most cells of the table of all runs stay as they are.
-        return replace(cell, text=_POWER.sub(power, cell.text)) if column.is_number and "e" in cell.text else cell
-
-    rows = tuple(tuple(map(printed, table.columns, row)) for row in table.rows)
-    return replace(table, rows=rows)
 
 
 @lru_cache(_REMEMBERED)

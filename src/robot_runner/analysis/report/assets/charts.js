@@ -6,11 +6,18 @@
   const LINE = "#e4e8ec";
   const FONT = "12px system-ui, -apple-system, 'Segoe UI', Roboto, sans-serif";
 
+  // 1.5e-9 as journals print it.
+  function powered(text) {
+    return text.replace(/e([+-])(\d+)$/, function (_, sign, power) {
+      return "×10" + (sign === "-" ? "⁻" : "") + power.replace(/\d/g, function (digit) { return "⁰¹²³⁴⁵⁶⁷⁸⁹"[digit]; });
+    });
+  }
+
   // The same number format as in the rest of the report.
   function shown(value, unit) {
     if (value === null || value === undefined) { return "–"; }
     const size = Math.abs(value);
-    const digits = size >= 1e7 || (size > 0 && size < 1e-4) ? value.toExponential(3).replace(/([+-])(\d)$/, "$10$2")
+    const digits = size >= 1e7 || (size > 0 && size < 1e-4) ? powered(value.toExponential(3))
       : size >= 9999.5 ? value.toFixed(0).replace(/\B(?=(\d{3})+$)/g, ",") : size === 0 ? "0" : value.toPrecision(4);
     return digits.replace(/^-/, "−") + (unit && unit !== "1" ? " " + unit : "");
   }
@@ -25,7 +32,7 @@
     return values.map(function (value) {
       if (value === 0 || (size >= 1e-4 && size < 1e16)) { return plain.format(value || 0).replace(/^-/, "−"); }
       const digits = decimals + Math.floor(Math.log10(Math.abs(value)));
-      return value.toExponential(Math.min(20, Math.max(0, digits))).replace(/([+-])(\d)$/, "$10$2").replace(/^-/, "−");
+      return powered(value.toExponential(Math.min(20, Math.max(0, digits)))).replace(/^-/, "−");
     });
   }
 
