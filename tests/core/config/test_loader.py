@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+import os
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -34,6 +35,12 @@ def test_a_folder_is_refused(tmp_path: Path) -> None:
     assert found.fix == "Name the config file that results are made by, which ends in .py; imported results have none."
     (tmp_path / "study.py").touch()
     assert refused(tmp_path)[0].fix == "Name the config file in it: study.py."
+
+
+def test_a_pipe_is_refused_instead_of_waiting_for_what_nobody_writes(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "study.py")
+    (found,) = refused(tmp_path / "study.py")
+    assert found.problem == "the path names no regular file"
 
 
 def test_a_file_that_is_not_python_is_refused_with_the_line(tmp_path: Path) -> None:

@@ -95,6 +95,8 @@ def tree_of(path: Path) -> ast.Module:
 
 def _read(path: Path) -> str:
     try:
+        if path.exists() and not path.is_file() and not path.is_dir():  # a pipe would be waited for without end
+            raise ConfigError("the path names no regular file", where=str(path), fix="Name a Python file.")
         text = decode_source(path.read_bytes())
     except FileNotFoundError as error:
         raise ConfigError("there is no such file", where=str(path), fix=_other_file(path)) from error
