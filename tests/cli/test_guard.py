@@ -97,6 +97,19 @@ def test_output_for_which_a_disk_has_no_room_is_no_fault_of_ours(
     assert said.startswith("error: the output cannot be written: No space left on device\n")
 
 
+@pytest.mark.parametrize(
+    ("command", "code"),
+    [(lambda: 0 * sys.stderr.write("figures: 3 of 16\n"), 0), (raising(ConfigError("no", where="x", fix="y")), 2)],
+    ids=["progress", "refusal"],
+)
+def test_errors_and_progress_for_which_a_disk_has_no_room_change_no_exit_code(
+    monkeypatch: pytest.MonkeyPatch, command: Callable[[], int], code: int
+) -> None:
+    with Path("/dev/full").open("w", buffering=1, encoding="utf-8") as full:
+        monkeypatch.setattr(sys, "stderr", full)
+        assert guarded(command) == code
+
+
 def test_a_current_folder_that_was_removed_is_no_fault_of_ours(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:

@@ -90,7 +90,6 @@ class DroppedOutput:
 
     def __enter__(self) -> None:
         self._earlier = sys.stdout, sys.stderr
-        sys.stderr = _lasting(sys.stderr, lambda _said: None)
         sys.stdout = self._stdout = _lasting(sys.stdout, sys.stderr.write)
 
     def __exit__(self, *raised: object) -> None:
@@ -109,7 +108,10 @@ def unguarded(stream: Any) -> TextIO:
 
 
 def guard_streams() -> tuple[Any, Any]:
-    """Make everything that this process prints harmless; return stdout and stderr as they were."""
+    """Make everything that this process prints harmless; return stdout and stderr as they were.
+
+    What cannot be written to stderr is dropped: a log file on a full disk ends no command, and changes no exit code.
+    """
     earlier = sys.stdout, sys.stderr
-    sys.stdout, sys.stderr = (each and HarmlessStream(each) for each in earlier)
+    sys.stdout, sys.stderr = HarmlessStream(sys.stdout), _lasting(sys.stderr, lambda _said: None)
     return earlier
