@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping, Sequence
-from contextlib import ExitStack
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from enum import Enum
@@ -12,7 +10,6 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from robot_runner.analysis.figures.pdf_worker import PdfWorker
 from robot_runner.analysis.figures.style import FigureFormat, figure_bytes
 from robot_runner.analysis.report.document import json_of_report, report_document
 from robot_runner.analysis.report.material import Material
@@ -27,9 +24,6 @@ from robot_runner.core.storage.system_refusals import storage_errors
 if TYPE_CHECKING:
     from robot_runner.analysis.report.blocks import Document
     from robot_runner.core.design.analysis_plan import AnalysisPlan
-
-#: With more runs, PDF figures are not written by a separate process.
-_MOST_RUNS = 2_000
 
 
 class ReportFormat(Enum):
@@ -76,20 +70,14 @@ def write_report(
         StorageError: there is no experiment, or the folder cannot be written.
         AnalysisError: there is no such measure.
     """
-    draws = kind is not ReportFormat.JSON
-    with ExitStack() as closing:
-        results = results_of(experiment).confirming
-        # Start the worker early, so that it is ready when the first figure is. On one core it would only compete. With
-        # thousands of runs, figures take little of the time, and the worker takes much of the memory.
-        helps = draws and FigureFormat.PDF in figures and (os.cpu_count() or 1) > 1 and len(results.runs) <= _MOST_RUNS
-        worker = closing.enter_context(PdfWorker()) if helps else None
-        statistics = analyse(results, measures=measures, alpha=alpha, plan=plan, on_step=on_step)
-        material = Material(results, statistics)
-        place = _Place(*report_folder(results.folder, output))
-        made = made_by("Report", datetime.now(UTC))
-        if draws:
-            return _write_document(report_document(material, made=made), kind, place, figures, worker, on_step)
+    results = results_of(experiment).confirming
+    statistics = analyse(results, measures=measures, alpha=alpha, plan=plan, on_step=on_step)
+    material = Material(results, statistics)
+    place = _Place(*report_folder(results.folder, output))
+    made = made_by("Report", datetime.now(UTC))
+    if kind is ReportFormat.JSON:
         return WrittenReport(place.write("report.json", json_of_report(material, made=made).encode()))
+    return _write_document(report_document(material, made=made), kind, place, figures, on_step)
 
 
 def report_folder(experiment: Path, output: Path | None) -> tuple[Path, Path]:
@@ -155,14 +143,13 @@ def _write_document(
     kind: ReportFormat,
     place: _Place,
     formats: Sequence[FigureFormat],
-    worker: PdfWorker | None,
-    on_step: OnStep = unheard,
+    on_step: OnStep,
 ) -> WrittenReport:
     """Write a document as HTML or Markdown, with its tables and figures in `tables/` and `figures/`."""
     needed = {FigureFormat.SVG} if kind is ReportFormat.MARKDOWN else set()  # the document refers to them
     kinds = [each for each in FigureFormat if each in needed.union(formats)]
     names = SafeNames()
-    figures, drawings = _write_figures(document, place, names, kinds, worker, on_step)
+    figures, drawings = _write_figures(document, place, names, kinds, on_step)
     files = files_of_tables(document, on_step)
     tables = _write_tables(files, place)
     if kind is ReportFormat.MARKDOWN:
@@ -177,24 +164,17 @@ def _write_figures(
     place: _Place,
     names: SafeNames,
     kinds: Sequence[FigureFormat],
-    worker: PdfWorker | None = None,
     on_step: OnStep = unheard,
 ) -> tuple[tuple[Path, ...], dict[str, bytes]]:
-    """Write each figure in these formats, PDF by the worker; return the files, and all figures as SVG."""
+    """Write each figure in these formats; return the files, and all figures as SVG."""
     files, drawings = [], {}
     for number, block in enumerate(document.figures):
         on_step("figures", number, len(document.figures))
         figure = block.draw()
         drawings[block.name] = figure_bytes(figure, FigureFormat.SVG)
         for kind in kinds:
-            name = f"figures/{names(block.name)}.{kind.value}"
-            if kind is FigureFormat.PDF and worker is not None:
-                make_folder(place.folder / "figures", place.root)
-                worker.write(figure, place.folder / name, place.root)
-                files.append(place.folder / name)
-            else:
-                content = drawings[block.name] if kind is FigureFormat.SVG else figure_bytes(figure, kind)
-                files.append(place.write(name, content, is_part=True))
+            content = drawings[block.name] if kind is FigureFormat.SVG else figure_bytes(figure, kind)
+            files.append(place.write(f"figures/{names(block.name)}.{kind.value}", content, is_part=True))
     return tuple(files), drawings
 
 
