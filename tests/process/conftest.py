@@ -41,6 +41,7 @@ class Experiment:
     process: subprocess.Popen[str]
     mark: str
     output: str = field(default="")
+    others: frozenset[int] = frozenset()  # processes that were there before it began: none of its own is among them
 
     @property
     def folder(self) -> Path:
@@ -89,7 +90,8 @@ class Experiment:
     def processes(self) -> list[int]:
         """Return the processes that the experiment started, its own included, that still live."""
         mark = f"{MARK}={self.mark}".encode()
-        return [pid for pid in processes() if has_in_environment(pid, mark)]
+        # Those that were there before are not looked at again: tests ask a hundred times a second.
+        return [pid for pid in processes() if pid not in self.others and has_in_environment(pid, mark)]
 
     def keeper(self) -> int:
         """Return the process that keeps the run which is being executed, once one is."""
@@ -97,12 +99,15 @@ class Experiment:
 
     def run_process(self) -> int:
         """Return the process of the run: of its keeper's children the one that leads a group of its own."""
-        return next(pid for pid in self._children_of(self.keeper()) if process_stat(pid)[2] == str(pid))
+        return next(iter(wait_until(self._leaders, "the run has a group of its own")))
 
     def standby(self) -> int:
         """Return the process that stands by to make the robot safe: the keeper's other child."""
         keeper = self.keeper()
         return next(pid for pid in self._children_of(keeper) if process_stat(pid)[2] == str(keeper))
+
+    def _leaders(self) -> list[int]:
+        return [pid for pid in self._children_of(self.keeper()) if process_stat(pid)[2:3] == [str(pid)]]
 
     def _children_of(self, parent: int) -> list[int]:
         return [pid for pid in self.processes() if process_stat(pid)[1:2] == [str(parent)]]
@@ -140,7 +145,7 @@ def start(write_config: Callable[..., Path], request: pytest.FixtureRequest) -> 
 
     def begin(body: str = "", *arguments: str, config: Path | None = None, wrapper: tuple[str, ...] = ()) -> Experiment:
         path = config or write_config(body)
-        mark = uuid.uuid4().hex
+        mark, others = uuid.uuid4().hex, frozenset(processes())
         words = ["run", str(path), "--plain", *arguments]
         streams: dict[str, Any] = dict(zip(("stdin", "stdout", "stderr"), STREAMS, strict=True))
         streams["env"] = {**os.environ, MARK: mark}
@@ -149,7 +154,7 @@ def start(write_config: Callable[..., Path], request: pytest.FixtureRequest) -> 
             process = subprocess.Popen(command, text=True, start_new_session=True, **streams)
         else:
             process = ForkedProgram("robot_runner", words, RUNS, text=True, **streams)
-        started.append(Experiment(path, process, mark))
+        started.append(Experiment(path, process, mark, others=others))
         return started[-1]
 
     yield begin
