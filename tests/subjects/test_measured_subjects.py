@@ -9,14 +9,13 @@ from typing import TYPE_CHECKING
 import pytest
 from tests.conftest import HEAD, written_config
 from tests.core.execution.conftest import Executed, execute_in
+from tests.core.links.ssh_server import SshServer
 
 from robot_runner.core.config.preparation import prepare
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
     from pathlib import Path
-
-    from tests.core.links.ssh_server import SshServer
 
 IMPORTS = """\
 from robot_runner.plugins.profilers import PsUtil
@@ -28,12 +27,22 @@ ONE_RUN = "    def create_run_table(self):\n        return RunTableModel([Factor
 BUSY = ["sh", "-c", "echo up; (setsid sh -c 'while :; do :; done' &); exec sleep 100"]
 
 
+@pytest.fixture(scope="module")
+def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[SshServer]:
+    """Yield a real sshd on loopback whose programs keep their files in a folder of their own: samples are counted."""
+    folder = tmp_path_factory.mktemp("sshd")
+    (folder / "tmp").mkdir()
+    started = SshServer(folder, environment={"TMPDIR": str(folder / "tmp")})
+    yield started
+    started.stop()
+
+
 @pytest.fixture
 def execute(tmp_path: Path) -> Callable[..., Executed]:
     return partial(execute_in, tmp_path, head=OURS, table=ONE_RUN)
 
 
-def body_of(where: str, form: str = "", seconds: int = 3) -> str:
+def body_of(where: str, form: str = "", mission: str = "context.clock.sleep(2)") -> str:
     return f"""
     plugins = [
         Program({BUSY!r}, name="Busy", ready="up" {where}),
@@ -41,7 +50,7 @@ def body_of(where: str, form: str = "", seconds: int = 3) -> str:
     ]
 
     def launch_mission(self, context):
-        context.clock.sleep({seconds})
+        {mission}
     """
 
 
@@ -63,7 +72,9 @@ def test_a_subject_over_there_is_measured_and_is_no_disturbance(
 ) -> None:
     over_there = f", host='robot', ssh_config={str(server.config)!r}"
     # A shell that looks starts dozens of programs: on a busy machine, each look takes seconds.
-    done = execute(body_of(over_there, f", form={form!r}", seconds=8))
+    samples = f"next(Path({str(server.folder / 'tmp')!r}).glob('robot-runner-samples-*'))"
+    mission = f"while {samples}.read_text().count('\\n') < 15: context.clock.sleep(0.1)"
+    done = execute(body_of(over_there, f", form={form!r}", mission))
     subject, computer = measured(done)
     assert 0 < subject <= computer + 5
     facts = json.loads((done.folder / "runs/r_1/machine/robot.json").read_text())
@@ -92,7 +103,7 @@ def test_a_subject_that_cannot_be_built_is_not_said_to_be_missing(tmp_path: Path
 @pytest.mark.long
 def test_a_subject_that_no_probe_starts_is_neither_missed_nor_doubted_there(execute: Callable[..., Executed]) -> None:
     alone = ONE_RUN.replace("seed=1", "seed=1, data_columns=['CPU_Busy']")
-    done = execute(body_of("").replace("sleep(3)", "sleep(1)"), table=alone, probe=True)
+    done = execute(body_of("", mission="context.clock.sleep(1)"), table=alone, probe=True)
     assert float(done.table[0]["CPU_Busy"]) > 0
     (probed,) = done.journal("probe")
     assert not any("no process subject:Busy was seen" in each for each in probed["profilers"]["PsUtil"]["reasons"])
