@@ -110,22 +110,28 @@ def bin_width(duration: float, period: float) -> float:
 
 
 def course_of_run(label: str, time: Floats, values: Floats, width: float) -> Course:
-    """Return the course of one run from values at times, s; NaN for a missing value."""
+    """Return the course of one run from values at ascending times, s; NaN for a missing value."""
     there = np.isfinite(values) & np.isfinite(time)
-    binned = pd.Series(values[there]).groupby(np.floor(time[there] / width).astype(np.int64))
-    found = binned.agg(["mean", "min", "max"])
-    bins = bins_between(found.index)
-    found = found.reindex(bins)
-    middle, low, high = (found[name].to_numpy(dtype=np.float64) for name in ("mean", "min", "max"))
+    known, numbers = values[there], np.floor(time[there] / width).astype(np.intp)
+    filled, starts, counts = np.unique(numbers, return_index=True, return_counts=True)
+    bins = bins_between(filled)
+    middle, low, high = np.full((3, len(bins)), np.nan)
+    if len(bins):
+        places = filled - bins[0]
+        middle[places] = np.add.reduceat(known, starts) / counts
+        low[places], high[places] = np.minimum.reduceat(known, starts), np.maximum.reduceat(known, starts)
     return Course(label, width, bins, middle, low, high, runs=1)
 
 
 def mean_course(label: str, courses: Sequence[Course], width: float) -> Course:
     """Return the mean and spread of several runs from courses with bins of this width."""
-    given = [pd.Series(course.middle, course.bins) for course in courses if len(course.bins)]
-    bins = bins_between(number for each in given for number in each.index)
-    table = pd.DataFrame([each.reindex(bins) for each in given], columns=bins)
-    middle, spread = (found.to_numpy(dtype=np.float64) for found in (table.mean(), table.std()))
+    given = [course for course in courses if len(course.bins)]
+    bins = bins_between(edge for course in given for edge in (course.bins[0], course.bins[-1]))
+    table = np.full((len(given), len(bins)), np.nan)
+    for row, course in zip(table, given, strict=True):
+        row[course.bins - bins[0]] = course.middle
+    frame = pd.DataFrame(table)
+    middle, spread = (found.to_numpy(dtype=np.float64) for found in (frame.mean(), frame.std()))
     return Course(label, width, bins, middle, middle - spread, middle + spread, runs=len(given))
 
 
