@@ -37,18 +37,23 @@ class Execution:
     """How an experiment was executed.
 
     Attributes:
-        finished: how it ended; None where it could not go on.
         was_shown_live: whether the table of its runs is on the terminal already.
+        failure: the errors by which it could not go on, or not end as it should.
     """
 
-    finished: ExperimentFinished | None
     progress: Progress
     was_shown_live: bool
+    failure: Sequence[Finding] = ()
+
+    @property
+    def finished(self) -> ExperimentFinished | None:
+        """How it ended; None where it could not even tell that."""
+        return self.progress.finished
 
     @property
     def exit_code(self) -> int:
-        """0: all chosen runs are done; 1: a run failed; 130: the user ended it."""
-        if self.finished is None:
+        """0: all chosen runs are done; 1: a run failed, or the experiment could not go on; 130: the user ended it."""
+        if self.finished is None or self.failure:
             return SOME_FAILED
         if self.finished.interrupted:
             return INTERRUPTED
@@ -71,17 +76,18 @@ def execute_on_screen(
     with DroppedOutput():
         kind = LiveScreen if is_live_terminal(sys.stdout) and not plain else PlainScreen
         screen = kind(output(), experiment, time.monotonic)
-        finished = None
+        failure: Sequence[Finding] = ()
         try:
             with screen:
-                finished = execute_experiment(
+                execute_experiment(
                     experiment, screen, findings=findings, resumption=resumption, waits_for_claims=waits_for_claims
                 )
         except RobotRunnerError as error:
             if not screen.progress.has_begun:
                 raise
-            show_findings(error.findings)  # it was not refused: it could not go on
-        return Execution(finished, screen.progress, was_shown_live=isinstance(screen, LiveScreen))
+            failure = error.findings
+            show_findings(failure)  # it was not refused: it could not go on
+        return Execution(screen.progress, was_shown_live=isinstance(screen, LiveScreen), failure=failure)
 
 
 @contextmanager

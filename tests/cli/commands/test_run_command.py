@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import csv
+import json
 import subprocess
 from typing import TYPE_CHECKING
 
@@ -197,13 +198,40 @@ def test_a_table_that_differs_from_the_plan_refuses(robot_runner: Callable, writ
     assert "Traceback" not in answer.err
 
 
-def test_an_experiment_that_cannot_go_on_is_no_refusal(
-    robot_runner: Callable, write_config: Callable[..., Path]
+#: A link that `before_experiment` opens for `after_experiment`, and whose cable is pulled out meanwhile.
+LEFT_OPEN = """
+def before_experiment(self, context):
+    from robot_runner.core.events.resources import opened_here
+    class Line:
+        def close(self): raise OSError(5, "Input/output error")
+    self.left_open = opened_here()
+    self.left_open.__enter__().open("line", Line)
+"""
+
+
+@pytest.mark.parametrize(
+    ("callback", "problem"),
+    [
+        (
+            "def after_experiment(self, context): raise OSError('the lab is closed')",
+            "after_experiment of config: OSError",
+        ),
+        (LEFT_OPEN, "what a callback of the experiment left open cannot be closed: [Errno 5] Input/output error"),
+    ],
+    ids=["its last callback", "a link left open"],
+)
+def test_an_experiment_that_cannot_end_is_no_refusal_and_tells_what_is_done(
+    robot_runner: Callable, write_config: Callable[..., Path], callback: str, problem: str
 ) -> None:
-    write_config("def after_experiment(self, context): raise OSError('the lab is closed')" + "\n" + MEASURING)
+    write_config(f"{callback}\n{MEASURING}")
     answer = robot_runner("run", "config.py")
     assert answer.code == 1
-    assert "after_experiment of config" in answer.err
+    assert problem in answer.err
+    assert "All 4 runs are done" in answer.out
+    answer = robot_runner("run", "config.py", "--json", "--set", "experiment_name=again")
+    told = json.loads(answer.out)
+    assert (told["exit_code"], told["runs"]["done"]) == (1, 4)
+    assert any(problem in f"{each['where']}: {each['problem']}" for each in told["findings"])
 
 
 def test_before_experiment_that_raises_is_a_refusal(robot_runner: Callable, write_config: Callable[..., Path]) -> None:

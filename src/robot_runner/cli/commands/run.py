@@ -213,7 +213,7 @@ def _facts(experiment: Experiment, execution: Execution) -> dict[str, Any]:
     named = {"experiment": experiment.parameters.experiment_name, "folder": str(experiment.folder.root)}
     finished = execution.finished
     if finished is None:
-        return {"was_executed": True, **named}
+        return {"was_executed": True, **named, "findings": as_json(execution.failure)}
     return {
         "was_executed": True,
         **named,
@@ -225,7 +225,7 @@ def _facts(experiment: Experiment, execution: Execution) -> dict[str, Any]:
         "is_interrupted": finished.interrupted,
         "stopped_by": finished.stopped_by or None,
         "seconds": finished.seconds,
-        "findings": as_json(finished.findings),
+        "findings": as_json([*execution.failure, *finished.findings]),
     }
 
 

@@ -50,6 +50,7 @@ class Progress:
         gates: what is awaited before runs, by run: several places may wait at the same time.
         gate_seconds: how long gates that are over were awaited in this session, s of their clocks.
         has_begun: whether any run was begun in this session.
+        finished: how the experiment ended; None before.
     """
 
     def __init__(self, clock: Callable[[], float]) -> None:
@@ -71,6 +72,7 @@ class Progress:
         self.gates: dict[str, notices.GateWaiting] = {}
         self.gate_seconds = 0.0
         self.has_begun = False
+        self.finished: notices.ExperimentFinished | None = None
 
     @property
     def bad_values(self) -> dict[str, dict[str, list[str]]]:
@@ -133,6 +135,7 @@ class Progress:
                 self._take_gate(notice)
             case notices.ExperimentFinished():
                 self.done, self.failed = notice.done_count, notice.failed_count
+                self.finished = notice
 
     def _take_gate(self, notice: notices.GateWaiting | notices.GatePassed) -> None:
         if isinstance(notice, notices.GateWaiting):

@@ -5,8 +5,8 @@ from __future__ import annotations
 import gc
 import logging
 import time
-from collections.abc import Mapping, Sequence
-from contextlib import ExitStack, closing, suppress
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack, closing, contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -124,9 +124,31 @@ def execute_experiment(
             progress = ProgressManager(experiment, resumption, probe if probed else None, prepare)
             opened.enter_context(progress)
         opened.enter_context(callback_claims(experiment, lambda: held, progress.find))
-        opened.enter_context(closing_left_open())
+        opened.enter_context(_closing_left_open())
         told = (*findings, *holding.findings, *seen_to)
         return _Orchestrator(experiment, progress, interruption, observer, claims).execute(told)
+
+
+@contextmanager
+def _closing_left_open() -> Iterator[None]:
+    """Close at the end what callbacks of the experiment left open; what fails there is an error of the experiment.
+
+    Raises:
+        ExecutionError: something cannot be closed.
+    """
+    ended_by: BaseException | None = None
+    try:
+        with closing_left_open():
+            try:
+                yield
+            except BaseException as error:
+                ended_by = error
+                raise
+    except OSError as error:
+        if error is ended_by:
+            raise
+        problem = f"what a callback of the experiment left open cannot be closed: {error}"
+        raise ExecutionError(problem, where="experiment", fix="See to it by hand; the results are whole.") from error
 
 
 def _findings_of(error: BaseException) -> Sequence[Finding]:
@@ -184,6 +206,7 @@ class _Orchestrator:
         except BaseException as error:
             self._notifications.tell_failure(_findings_of(error)[0])
             self._notifications.findings(self._interruption)
+            self._notice(self._finish_notice(findings))  # the runs that are done are still what was asked for
             raise
         self._progress.find(*self._clock.look())
         # After an interruption the next execution looks, before it goes on; workers of a cluster have copies.
