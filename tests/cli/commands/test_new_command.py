@@ -42,6 +42,16 @@ def test_what_is_written_can_be_executed_as_it_is(robot_runner: Callable, tmp_pa
     assert (tmp_path / "experiments" / "my_experiment" / "runs" / "r_1" / "log.txt").exists()
 
 
+def test_what_an_environment_lacks_to_execute_it_is_told(
+    robot_runner: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "mujoco", None)
+    answer = robot_runner("new")
+    assert (answer.code, (tmp_path / "experiment.py").exists()) == (0, True)
+    assert "6 runs on the embedded robot; to execute it, this environment lacks:" in answer.out
+    assert "pip install 'robot-runner[sim]'" in answer.err
+
+
 def test_nothing_is_left_of_a_file_for_which_the_disk_has_no_room(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

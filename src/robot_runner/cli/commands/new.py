@@ -17,9 +17,11 @@ from argparse import Namespace
 from keyword import iskeyword
 from pathlib import Path
 
-from robot_runner.cli.console import command_line, output, print_facts
+from robot_runner.cli.console import command_line, output, print_facts, quiet_loading
+from robot_runner.cli.findings import show_findings
 from robot_runner.cli.parser import Parser, UsageError
 from robot_runner.cli.templating import template, write_new_file
+from robot_runner.core.config.preparation import prepare
 from robot_runner.core.errors import StorageError
 
 #: The folder that each kind is written to where none is named.
@@ -50,8 +52,12 @@ def execute(arguments: Namespace) -> int:
         raise UsageError("a config is a Python file", where=name, fix=f"Name it {path.name or 'experiment'}.py.")
     text = template("new_config.py").replace("{file}", _in_text(path.name))
     write_new_file(path, text, instead="Choose another name: robot-runner new NAME.py")
+    with quiet_loading():
+        missing = [finding for finding in prepare(path).findings if finding.is_error]
     console = output()
-    console.tell(f"{name} is written: 6 runs on the embedded robot, ready to be executed.")
+    readiness = "; to execute it, this environment lacks:" if missing else ", ready to be executed."
+    console.tell(f"{name} is written: 6 runs on the embedded robot{readiness}")
+    show_findings(missing)
     print_facts(
         console,
         [("Check", command_line("check", name)), ("Plan", command_line("plan", name)), ("Execute", command_line(name))],
