@@ -17,7 +17,7 @@ from tests.replication.small_experiment import SECRET, execute, own_modules, wri
 from robot_runner.cli.extension import ExtensionRequest, extend_experiment
 from robot_runner.core.config.preparation import prepare
 from robot_runner.core.design.extended_design import Additions
-from robot_runner.core.errors import ConfigError, PackageError
+from robot_runner.core.errors import ConfigError, Finding, PackageError
 from robot_runner.core.execution.notices import SilentObserver
 from robot_runner.core.execution.orchestrator import execute_experiment
 from robot_runner.core.execution.resumption import Resumption
@@ -27,6 +27,7 @@ from robot_runner.core.storage.manifest import read_manifest
 from robot_runner.core.storage.run_table_reading import read_run_table
 from robot_runner.core.storage.table_columns import TableLayout
 from robot_runner.core.storage.table_schema import read_schema
+from robot_runner.replication import replicating
 from robot_runner.replication.differences import missing_modules
 from robot_runner.replication.replicating import prepare_replication, replicated_folder
 from robot_runner.replication.run_by_run import Sameness, identical_values
@@ -184,6 +185,17 @@ def test_another_experiment_in_the_folder_is_left_alone(unpacked, experiment, tm
 
 
 @pytest.mark.long
+def test_what_was_done_to_a_robot_is_told_also_where_the_replication_is_refused_then(
+    unpacked, experiment, tmp_path, monkeypatch
+):
+    shutil.copytree(experiment, tmp_path / "small")
+    done = Finding.warning("r_1", "the robot was commanded to stand still now", "Check where it stands.")
+    monkeypatch.setattr(replicating, "see_to_it_first", lambda _: [done])
+    with pytest.raises(PackageError, match="another experiment") as refused:
+        prepare_replication(unpacked, tmp_path, {})
+    assert done in refused.value.findings
+
+
 def test_a_table_that_was_written_by_hand_is_executed_again_as_it_is(of_a_table_by_hand):
     original, replication = of_a_table_by_hand
     folder = replication.experiment.folder.root

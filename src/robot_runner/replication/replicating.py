@@ -15,7 +15,7 @@ from robot_runner.core.config.treatment_makers import known_treatments, treatmen
 from robot_runner.core.design.batches import EXTENDED, REPEATED, records_of
 from robot_runner.core.errors import ConfigError, Finding, PackageError
 from robot_runner.core.execution.given_values import given_elsewhere
-from robot_runner.core.execution.left_systems import see_to_it_first
+from robot_runner.core.execution.left_systems import see_to_it_first, told_if_refused
 from robot_runner.core.execution.recovered_table import with_later_batches
 from robot_runner.core.execution.resumption import table_differences
 from robot_runner.core.secret_names import REDACTED, hidden_settings, is_same_setting, shown_settings
@@ -199,13 +199,15 @@ def prepare_replication(root: Path, target: Path, deviations: Mapping[str, str])
     own = {_CLUSTER, _NAME, _PATH, _REGISTRATION} - deviations.keys()
     overrides = {name: text for name, text in settings.items() if name not in own}
     experiment = replace(preparation.experiment, replication=facts, overrides=overrides)
-    findings = [*preparation.findings, *absent, *_other_values(experiment, manifest, deviations), *_changed(files)]
-    if experiment.folder.manifest.exists():
-        _refuse_other(experiment, facts, deviations)
-    else:
-        experiment.model.take_seed(int(manifest["seed"]))
-        experiment = _with_batches(experiment, files)
-        findings += _settle_table(experiment, files, manifest, has_deviations=bool(deviations))
+    with told_if_refused() as findings:  # what was done to a robot just now is told also where it is refused
+        findings.extend([*preparation.findings, *absent])
+        findings.extend([*_other_values(experiment, manifest, deviations), *_changed(files)])
+        if experiment.folder.manifest.exists():
+            _refuse_other(experiment, facts, deviations)
+        else:
+            experiment.model.take_seed(int(manifest["seed"]))
+            experiment = _with_batches(experiment, files)
+            findings.extend(_settle_table(experiment, files, manifest, has_deviations=bool(deviations)))
     return Replication(experiment, tuple(findings))
 
 
