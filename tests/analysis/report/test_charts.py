@@ -12,7 +12,7 @@ from tests.analysis.experiment_folders import two_tasks
 
 from robot_runner.analysis import load_results
 from robot_runner.analysis.figures.courses import Course, MissionCourses
-from robot_runner.analysis.report import charts
+from robot_runner.analysis.report import charts, outcome_section
 from robot_runner.analysis.report.charts import course_chart
 from robot_runner.analysis.report.document import report_document
 from robot_runner.analysis.report.material import Material
@@ -57,6 +57,16 @@ def test_of_many_runs_the_chart_shows_an_even_share_and_says_so(tmp_path, monkey
     assert chart.data["runs"] == ["r_1", "r_4", "r_7"]
     assert chart.caption.startswith("8 runs in the order of execution. One in 3 is shown. ")
     assert {len(chart.data[name]) for name in ("order", "group")} == {len(chart.data["measures"][0]["values"])} == {3}
+
+
+def test_of_many_runs_the_timeline_shows_an_even_share_and_says_so(tmp_path, monkeypatch):
+    monkeypatch.setattr(outcome_section, "_MOST_ROWS", 3)
+    results = load_results(two_tasks(tmp_path / "trial", PRESSURES, PRESSURES).root)
+    made = report_document(Material(results, analyse(results)), made="")
+    [timeline] = [figure for figure in made.figures if figure.name == "timeline"]
+    assert timeline.caption.endswith(" Of 8 runs, one in 3 is shown.")
+    assert timeline.alternative.startswith("3 attempts ")
+    assert [label.get_text() for label in timeline.draw().axes[0].get_yticklabels()] == ["r_1", "r_4", "r_7"]
 
 
 @pytest.mark.long

@@ -34,6 +34,8 @@ from robot_runner.core.words import counted, shown_duration
 
 _TONES = {RunStatus.DONE.value: Tone.GOOD, RunStatus.FAILED.value: Tone.BAD}
 _WORDS = {RunStatus.TODO.value: "To do"}
+#: Runs of a timeline: more would be thinner than the dots of a printer.
+_MOST_ROWS = 2_000
 #: The events at which a measurement begins and ends.
 _EDGES = ("start_measurement", "stop_measurement")
 #: Stamps and durations are rounded to milliseconds and taken one after the other: so much may be between them, s.
@@ -189,12 +191,17 @@ def _sensor(qualities: Sequence[RunQuality]) -> str:
 
 
 def _timeline(material: Material, spans: tuple[AttemptSpan, ...]) -> FigureBlock:
+    runs = list(dict.fromkeys(span.run_id for span in spans))
+    share = -(-len(runs) // _MOST_ROWS)
+    drawn = set(runs[::share])
+    shown = spans if share == 1 else tuple(span for span in spans if span.run_id in drawn)
+    some = f" Of {len(runs):,} runs, one in {share} is shown." if share > 1 else ""
     return FigureBlock(
         "timeline",
         "When each run was executed. Dark: measuring; light: getting ready and tidying up; hatched: an attempt that "
-        "failed or was broken off.",
-        f"{counted(len(spans), 'attempt')} beneath each other over the time since the experiment began.",
-        lambda: draw_timeline(spans, order=material.order),
+        f"failed or was broken off.{some}",
+        f"{counted(len(shown), 'attempt')} beneath each other over the time since the experiment began.",
+        lambda: draw_timeline(shown, order=material.order),
         is_wide=True,
     )
 
