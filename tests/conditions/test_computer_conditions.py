@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 from tests.core.links.ssh_server import SshServer
+from tests.waiting import wait_until
 
 from robot_runner import (
     ConditionError,
@@ -171,14 +172,18 @@ def test_a_core_that_comes_back_with_its_old_count_is_not_throttled(
 def test_a_host_answers_until_it_is_gone_and_again_when_it_is_back(
     server: SshServer, context: RobotRunnerContext, tmp_path: Path
 ) -> None:
+    config, there = tmp_path / "ssh_config", server.config.read_text()
+    config.write_text(there)
     with ExitStack() as opened:
-        look = host_answers("robot", ssh_config=server.config).watch(context, opened)
+        look = host_answers("robot", ssh_config=config).watch(context, opened)
         assert look().holds
+        config.write_text(there.replace(f"Port {server.port}", "Port 1"))  # where nobody listens
         server.cut()
-        deadline = time.monotonic() + 20
-        while look().holds and time.monotonic() < deadline:
-            time.sleep(0.1)
-        assert host_answers("robot", ssh_config=server.config).wait(context, timeout_s=20).holds
+        wait_until(lambda: not look().holds, "the host is gone")
+        assert not look().holds, "and stays so"
+        config.write_text(there)
+        wait_until(lambda: look().holds, "the host is back")
+        assert host_answers("robot", ssh_config=config).wait(context, timeout_s=20).holds
 
 
 def test_a_host_that_is_not_there_does_not_answer_and_is_found_before(
