@@ -103,11 +103,15 @@ class Experiment:
 
     def standby(self) -> int:
         """Return the process that stands by to make the robot safe: the keeper's other child."""
-        keeper = self.keeper()
-        return next(pid for pid in self._children_of(keeper) if process_stat(pid)[2] == str(keeper))
+        return next(iter(wait_until(self._followers, "somebody stands by")))
 
     def _leaders(self) -> list[int]:
         return [pid for pid in self._children_of(self.keeper()) if process_stat(pid)[2:3] == [str(pid)]]
+
+    def _followers(self) -> list[int]:
+        self.run_process()  # before it has a group of its own, it looks like one of these
+        keeper = self.keeper()
+        return [pid for pid in self._children_of(keeper) if process_stat(pid)[2:3] == [str(keeper)]]
 
     def _children_of(self, parent: int) -> list[int]:
         return [pid for pid in self.processes() if process_stat(pid)[1:2] == [str(parent)]]
