@@ -39,11 +39,11 @@ _OF_ROS2 = re.compile(r"\bmark\.ros2\b|\bover(_pairs)?\([^)]*\"ros2\"")
 _SHARED = "ROBOT_RUNNER_TESTS_FOLDER"
 #: Fewer files waste a start and imports each, a second of processor time, more leave processors idle at the end.
 _FILES = 20
-#: Rooms that take long for their lines: Chromium, a simulated chip, killed processes, cameras, whole experiments. They
-#: begin first: otherwise they would end alone, with idle processors beside them.
+#: Rooms that take long for their lines: Chromium, a simulated chip, killed processes, cameras, graphs, experiments.
+#: They begin first: otherwise they would end alone, with idle processors beside them.
 _LONG = {
     *("adaptive", "cluster", "conditions", "docs", "examples", "firmware", "hostile", "meters", "page", "process"),
-    *("replication", "repository", "subjects"),
+    *("replication", "repository", "ros", "subjects"),
 }
 #: How often the processors are looked at, s: a process that has begun imports for seconds before it waits for anything.
 _LOOK_S = 10.0
