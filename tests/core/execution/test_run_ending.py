@@ -575,10 +575,16 @@ FORKING = """
 import multiprocessing, time
 from robot_runner import *
 
+def asleep(telling):
+    telling.send("begun")
+    time.sleep(60)
+
 def forked():
-    process = multiprocessing.get_context("fork").Process(target=time.sleep, args=(60,))
+    fork = multiprocessing.get_context("fork")
+    told, telling = fork.Pipe()
+    process = fork.Process(target=asleep, args=(telling,))
     process.start()
-    time.sleep(0.1)
+    told.recv()  # until then, a signal meets what the process has inherited
     return process
 
 def ended(process, by=lambda process: process.terminate()):
