@@ -54,9 +54,9 @@ def test_of_many_runs_the_chart_shows_an_even_share_and_says_so(tmp_path, monkey
     monkeypatch.setattr(charts, "_MOST_POINTS", 3)
     results = load_results(two_tasks(tmp_path / "trial", PRESSURES, PRESSURES).root)
     chart = charts.points_chart(Material(results, analyse(results)))
-    assert chart.data["runs"] == ["r_1", "r_4", "r_7"]
-    assert chart.caption.startswith("8 runs in the order of execution. One in 3 is shown. ")
-    assert {len(chart.data[name]) for name in ("order", "group")} == {len(chart.data["measures"][0]["values"])} == {3}
+    assert chart.data["runs"] == ["r_1", "r_4", "r_5", "r_8"]
+    assert chart.caption.startswith("8 runs in the order of execution. One in 3 of each treatment is shown. ")
+    assert {len(chart.data[name]) for name in ("order", "group")} == {len(chart.data["measures"][0]["values"])} == {4}
 
 
 def test_of_many_runs_the_timeline_shows_an_even_share_and_says_so(tmp_path, monkeypatch):
@@ -64,9 +64,16 @@ def test_of_many_runs_the_timeline_shows_an_even_share_and_says_so(tmp_path, mon
     results = load_results(two_tasks(tmp_path / "trial", PRESSURES, PRESSURES).root)
     made = report_document(Material(results, analyse(results)), made="")
     [timeline] = [figure for figure in made.figures if figure.name == "timeline"]
-    assert timeline.caption.endswith(" Of 8 runs, one in 3 is shown.")
-    assert timeline.alternative.startswith("3 attempts ")
-    assert [label.get_text() for label in timeline.draw().axes[0].get_yticklabels()] == ["r_1", "r_4", "r_7"]
+    assert timeline.caption.endswith(" Of 8 runs, one in 3 of each treatment is shown.")
+    assert timeline.alternative.startswith("4 attempts ")
+    shown = [label.get_text() for label in timeline.draw().axes[0].get_yticklabels()]
+    assert shown == ["r_1", "r_4", "r_5", "r_8"]
+
+
+def test_an_even_share_of_runs_in_turn_has_all_treatments():
+    is_shown, share = charts.even_share(["a", "b", "c"] * 20, 10)
+    assert (sum(is_shown), share) == (12, 6)
+    assert [label for label, each in zip(["a", "b", "c"] * 20, is_shown, strict=True) if each] == ["a", "b", "c"] * 4
 
 
 @pytest.mark.long

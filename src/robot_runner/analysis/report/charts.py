@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
@@ -81,8 +82,8 @@ def points_chart(material: Material) -> Chart | None:
     places = {run_id: place for place, run_id in enumerate(begun if is_known else material.runs[RUN_ID], start=1)}
     order = "order of execution" if is_known else "order of the table"
     in_order = done.assign(place=done[RUN_ID].map(places)).sort_values("place", kind="stable")
-    share = -(-len(in_order) // _MOST_POINTS)
-    ordered = in_order[::share]
+    is_shown, share = even_share(map(material.labels.__getitem__, in_order[RUN_ID]), _MOST_POINTS)
+    ordered = in_order[is_shown]
     data = {
         "place": f"Place in the {order}",
         "order": [int(place) for place in ordered["place"]],
@@ -102,9 +103,24 @@ def points_chart(material: Material) -> Chart | None:
             for name in numeric
         ],
     }
-    some = f" One in {share} is shown." if share > 1 else ""
+    some = f" One in {share} of each treatment is shown." if share > 1 else ""
     caption = f"{counted(len(in_order), 'run')} in the {order}.{some} Point at one for its id and its value."
     return Chart("chart-runs", "points", caption, data)
+
+
+def even_share(treatments: Iterable[str], most: int) -> tuple[list[bool], int]:
+    """Return which of many runs to show, about `most`, and that it is one in so many.
+
+    The share is that of each treatment: of runs that take turns, every sixth may always have the same.
+    """
+    texts = list(treatments)
+    share = max(1, -(-len(texts) // most))
+    seen: Counter[str] = Counter()
+    is_shown = []
+    for text in texts:
+        is_shown.append(seen[text] % share == 0)
+        seen[text] += 1
+    return is_shown, share
 
 
 def in_order_of_execution(material: Material, attempts: pd.DataFrame) -> pd.DataFrame:

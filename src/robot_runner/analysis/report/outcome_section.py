@@ -6,7 +6,7 @@ For a covering array it also lists the pairs of treatments with failed runs, whi
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from itertools import combinations
+from itertools import combinations, compress
 from typing import Any, NamedTuple
 
 import pandas as pd
@@ -24,7 +24,7 @@ from robot_runner.analysis.report.blocks import (
     Table,
     Tone,
 )
-from robot_runner.analysis.report.charts import in_order_of_execution
+from robot_runner.analysis.report.charts import even_share, in_order_of_execution
 from robot_runner.analysis.report.material import Material, RunQuality, by_plugin
 from robot_runner.analysis.report.tables import Field, build_table, field, number, number_cell, text
 from robot_runner.analysis.wording import MISSING, kind_of, listed
@@ -191,11 +191,11 @@ def _sensor(qualities: Sequence[RunQuality]) -> str:
 
 
 def _timeline(material: Material, spans: tuple[AttemptSpan, ...]) -> FigureBlock:
-    runs = list(dict.fromkeys(span.run_id for span in spans))
-    share = -(-len(runs) // _MOST_ROWS)
-    drawn = set(runs[::share])
-    shown = spans if share == 1 else tuple(span for span in spans if span.run_id in drawn)
-    some = f" Of {len(runs):,} runs, one in {share} is shown." if share > 1 else ""
+    labels = {span.run_id: span.label for span in spans}
+    is_shown, share = even_share(labels.values(), _MOST_ROWS)
+    drawn = set(compress(labels, is_shown))
+    shown = [span for span in spans if span.run_id in drawn]
+    some = f" Of {len(labels):,} runs, one in {share} of each treatment is shown." if share > 1 else ""
     return FigureBlock(
         "timeline",
         "When each run was executed. Dark: measuring; light: getting ready and tidying up; hatched: an attempt that "
