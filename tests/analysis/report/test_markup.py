@@ -14,6 +14,7 @@ from robot_runner.analysis.report.blocks import Cell, Chart, Code, Column, Docum
 from robot_runner.analysis.report.rendering import (
     SafeNames,
     csv_of,
+    file_name,
     files_of_tables,
     html_of,
     latex_label,
@@ -81,6 +82,13 @@ def test_no_two_names_become_one(names):
     given_names = [safe(name) for name in names]
     assert len({name.casefold() for name in given_names}) == len(names)
     assert given_names == [safe(name) for name in names]
+
+
+@given(st.text())
+def test_a_file_name_is_safe_whatever_the_name(text):
+    name = file_name(text)
+    assert re.fullmatch(r"[A-Za-z0-9_-]{1,80}", name)
+    assert name not in {"", ".", ".."}
 
 
 def test_latex_takes_the_beginning_of_a_row_for_no_argument_and_two_hyphens_for_no_dash():

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import io
-import re
 import textwrap
-import unicodedata
 import warnings
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
@@ -19,6 +17,7 @@ import numpy as np
 from matplotlib import colormaps, font_manager
 from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
@@ -45,6 +44,9 @@ _FEWEST = 8
 _LEGEND_LINE, _SLANTED, _LINES_WITH_ROOM = 0.13, 0.02, 4
 #: The smallest font size that can be read in print, points.
 _SMALLEST = 5.0
+
+#: From this number on, single points cannot be distinguished; the size of one, points.
+_CROWD, _DOT = 600, 1.0
 
 INK = "#1f2933"
 GREY = "#8a94a0"
@@ -190,8 +192,10 @@ def new_axes(width: float, height: float) -> tuple[Figure, Axes]:
 
 
 def draw_points(axes: Axes, x: Any, y: Any, look: Look, *, edge: float = 0.3, **settings: Any) -> None:
-    """Draw values as points with a white edge, so that overlapping points can be distinguished."""
+    """Draw values as points with a white edge, so that overlapping points can be distinguished; crowds as pale dots."""
     settings |= {"markeredgecolor": "white", "markeredgewidth": edge}
+    if np.size(x) > _CROWD:  # the edges would hide all but the last points, and these whatever is drawn with them
+        settings |= {"markeredgewidth": 0.0, "markersize": _DOT, "alpha": 0.4, "zorder": 1.5}
     axes.plot(x, y, linestyle="none", marker=look.marker, color=look.colour, **settings)
 
 
@@ -229,6 +233,9 @@ def add_legend(figure: Figure, count: int, *, most: int | None = None, columns: 
         names = shortened_apart([text.get_text() for text in texts], _LETTERS_IN_LEGEND)
         for text, name in zip(texts, names, strict=True):
             text.set_text(name)
+        for handle in legend.legend_handles:
+            if isinstance(handle, Line2D) and handle.get_markersize() == _DOT:
+                handle.set(markersize=mpl.rcParams["lines.markersize"], alpha=1.0)
         if beside == 1 or legend.get_window_extent().width <= figure.bbox.width:
             further = -(-count // beside) - min(-(-count // columns), _LINES_WITH_ROOM)
             height = figure.get_figheight() + _LEGEND_LINE * further
@@ -301,10 +308,6 @@ def verbatim(text: str, kept: str = "") -> str:
     return "".join(character if character.isprintable() or character in kept else " " for character in text)
 
 
-_LONGEST = 80  # letters of a file's name
-
-#: From this number on, single points cannot be distinguished.
-_CROWD = 600
 _NO_MARKERS = (None, "", " ", "none", "None")
 
 
@@ -387,14 +390,3 @@ def _rasterise_crowds(figure: Figure) -> None:
         for artists, size in zip(crowds, sizes, strict=True):
             for artist in artists if size > _CROWD else ():
                 artist.set_rasterized(True)
-
-
-def file_name(text: str) -> str:
-    """Return a name of letters, digits, hyphens and underscores, which is valid in file systems, URLs and LaTeX.
-
-    Example:
-        >>> file_name("Energy (J) of ../Größe")
-        'Energy_J_of_Grosse'
-    """
-    plain = unicodedata.normalize("NFKD", text.replace("ß", "ss")).encode("ascii", "ignore").decode()
-    return re.sub(r"[^A-Za-z0-9-]+", "_", plain).strip("_")[:_LONGEST] or "unnamed"

@@ -25,7 +25,7 @@ from unicodedata import normalize
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
-from robot_runner.analysis.figures.style import file_name, verbatim
+from robot_runner.analysis.figures.style import verbatim
 from robot_runner.analysis.report.drawings import drawing_of
 from robot_runner.analysis.statistics.experiment_statistics import OnStep, unheard
 
@@ -43,6 +43,7 @@ _PAGE_OF_A_PAPER, _LINE_OF_A_CELL = 105, 36
 _INTERVAL, _UNBROKEN = re.compile(r"\[[^\[\]]*\]"), "\N{NO-BREAK SPACE}"
 #: Invisible characters that are kept on a page: line breaks, and joiners of letters and of parts of a character.
 _KEPT = "\n\u200c\u200d"
+_LONGEST_NAME = 80  # letters of a file's name
 #: Of the compression of tables.
 _LEVEL = 6
 _BLANK_LINES = re.compile(r"\n{3,}")
@@ -50,6 +51,17 @@ _BLANK_LINES = re.compile(r"\n{3,}")
 _REMEMBERED = 10_000
 #: Characters with a meaning anywhere in Markdown, and those that begin a list or underline a heading.
 _MARKDOWN = re.compile(r"([\\`*_{}\[\]<>#|~$!&]|(?:^|(?<=^[0-9])|(?<=^[0-9]{2}))[-+=.)](?=[-=\s]|$))")
+
+
+def file_name(text: str) -> str:
+    """Return a name of letters, digits, hyphens and underscores, which is valid in file systems, URLs and LaTeX.
+
+    Example:
+        >>> file_name("Energy (J) of ../Größe")
+        'Energy_J_of_Grosse'
+    """
+    plain = normalize("NFKD", text.replace("ß", "ss")).encode("ascii", "ignore").decode()
+    return re.sub(r"[^A-Za-z0-9-]+", "_", plain).strip("_")[:_LONGEST_NAME] or "unnamed"
 
 
 class SafeNames:
