@@ -49,6 +49,8 @@ _LONG = {
 _LOOK_S = 10.0
 #: Of what the processors could do between two looks, so much has to be left for one more process, %.
 _LEFT = 20.0
+#: So many more at the most: where a container has a part of its machine's processors, the others look idle.
+_MORE = 4
 _NOTHING_CHOSEN = 5  # pytest's exit status where no test was chosen: all tests of a batch are `soak`, say
 #: What pytest counts, in the order of its last line.
 _KINDS = ("failed", "passed", "skipped", "deselected", "xfailed", "xpassed", "error")
@@ -187,11 +189,11 @@ def _all_executed(
     """Execute all batches, so many at once and one more whenever there is time for it, and print each as it ends."""
     answers: list[Answer] = []
     left, running = deque(batches), set[Future[Answer]]()
-    with tempfile.TemporaryDirectory(prefix="rr-tests-") as shared, ThreadPoolExecutor(2 * processes) as executor:
+    with tempfile.TemporaryDirectory(prefix="rr-tests-") as shared, ThreadPoolExecutor(processes + _MORE) as executor:
         start = time.monotonic()
         try:
             while left or running:
-                while left and (len(running) < processes or (len(running) < 2 * processes and has_time())):
+                while left and (len(running) < processes or (len(running) < processes + _MORE and has_time())):
                     running.add(executor.submit(_executed, left.popleft(), marks, words, shared, start))
                 done, running = wait(running, timeout=1.0, return_when=FIRST_COMPLETED)
                 for future in done:

@@ -122,7 +122,7 @@ def test_one_more_process_begins_while_the_processors_have_time(
     write_tests(tmp_path, {"room/test_a.py": text, "hall/test_b.py": text, "shed/test_c.py": text})
     monkeypatch.chdir(tmp_path)
     batches = batches_of(Path("tests"))
-    answers = execute_tests._all_executed(batches, "", [], 2 if has_time else 1, lambda: has_time)
+    answers = execute_tests._all_executed(batches, "", [], 1, lambda: has_time)
     assert sum((answer.counts for answer in answers), Counter[str]())["passed"] == passed
 
 
