@@ -385,7 +385,8 @@ from robot_runner.measuring.on_board_session import REMOTE_COMMAND
 from robot_runner.measuring.ssh_host import SshHost
 host = SshHost("here", SystemClock(), form={form!r}, command=["sh", "-c", REMOTE_COMMAND])
 sampler = host.sample_utilisation(20.0)
-time.sleep(0.5)
+while open(sampler._path).read().count("\\n") < 2:  # whose they are, and a first sample
+    time.sleep(0.01)
 os.kill(os.getpid(), 9)
 """
     assert subprocess.run([sys.executable, "-c", killed], check=False, timeout=60).returncode == -9
