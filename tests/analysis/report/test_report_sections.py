@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import pytest
 
 from robot_runner.analysis.figures.style import looks_by
@@ -193,18 +191,6 @@ def test_an_order_as_written_is_not_said_to_have_been_drawn(two_tasks):
     text = markdown_of(document(two_tasks(manifest={"design": design, "seed_is_given": False, "seed": 7})), str)
     assert "The seed 7 was drawn" in text
     assert "order was drawn" not in text
-
-
-@pytest.mark.parametrize(("unit", "headings"), [("m/s", ["Factor", "Unit"]), ("", ["Factor", "Treatments"])])
-def test_the_table_of_factors_has_names_as_they_are_and_units_in_a_column_of_their_own(two_tasks, unit, headings):
-    results = load_results(two_tasks().root)
-    columns = {**results.columns, "Task": replace(results.columns["Task"], unit=unit)}
-    results = replace(results, columns=columns)
-    made = report_document(Material(results, analyse(results)), made="now")
-    [table] = [each for each in made.tables if each.name == "factors"]
-    assert [column.name for column in table.columns][:2] == headings
-    assert table.rows[0][0].text == "Task"
-    assert not unit or table.rows[0][1].value == unit
 
 
 def test_executions_in_parts_are_told(two_tasks):
