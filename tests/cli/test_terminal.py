@@ -207,10 +207,10 @@ def test_a_terminal_that_closes_ends_the_experiment_cleanly(
 
 @pytest.mark.long
 def test_a_changed_config_is_shown_and_asked_about_at_a_terminal(
-    terminal: Callable, write_config: Callable[..., Path], tmp_path: Path
+    terminal: Callable, robot_runner: Callable, write_config: Callable[..., Path]
 ) -> None:
     write_config("def populate_run_data(self, context): return {'Energy': 1}", table=TWO_RUNS)
-    assert terminal("run", "config.py", "--only", "r_1").finish() == 0
+    assert robot_runner("run", "config.py", "--only", "r_1").code == 0
     write_config("def populate_run_data(self, context): return {'Energy': 2}", table=TWO_RUNS)
     refusing = terminal("run", "config.py")
     refusing.wait_for("Go on with it as it is now")
@@ -224,10 +224,10 @@ def test_a_changed_config_is_shown_and_asked_about_at_a_terminal(
 
 @pytest.mark.long
 def test_a_table_that_disagrees_with_the_journal_is_asked_about_at_a_terminal(
-    terminal: Callable, write_config: Callable[..., Path], tmp_path: Path
+    terminal: Callable, robot_runner: Callable, write_config: Callable[..., Path], tmp_path: Path
 ) -> None:
     write_config("def populate_run_data(self, context): return {'Energy': 7}", table=TWO_RUNS)
-    assert terminal("run", "config.py").finish() == 0
+    assert robot_runner("run", "config.py").code == 0
     table = tmp_path / "results" / "trial" / "run_table.csv"
     executed = table.read_text(encoding="utf-8")
     table.write_text(executed.replace(",7\n", ",8\n", 1), encoding="utf-8")

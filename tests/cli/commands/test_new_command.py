@@ -170,7 +170,7 @@ def test_the_plugins_that_are_written_have_types_that_fit(robot_runner: Callable
 
 @pytest.mark.long
 def test_a_plugins_package_is_installed_found_by_its_name_tried_and_passes_its_own_tests(
-    program: str, tmp_path: Path
+    program: str, robot_runner: Callable, tmp_path: Path
 ) -> None:
     def call(*words: object, **more: str) -> str:
         environment = {**os.environ, **more}
@@ -182,8 +182,8 @@ def test_a_plugins_package_is_installed_found_by_its_name_tried_and_passes_its_o
 
     packages, site = [tmp_path / "lab-meter", tmp_path / "lab-robot"], tmp_path / "site"
     for kind, package, name in zip(("profiler", "system"), packages, ("LabMeter", "LabRobot"), strict=True):
-        told = call(program, "new", "--plugin", kind, package.name)
-        assert f"the {kind} {name}, which works as it is" in told
+        told = robot_runner("new", "--plugin", kind, package.name)
+        assert f"the {kind} {name}, which works as it is" in told.out
     # Without hatchling here, pip builds in isolation and fetches it.
     isolation = ["--no-build-isolation", "--no-index"] if importlib.util.find_spec("hatchling") else []
     quiet = ["--quiet", "--disable-pip-version-check", "--no-input", "--no-deps"]
