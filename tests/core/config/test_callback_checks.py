@@ -8,30 +8,41 @@ import pytest
 
 from robot_runner.core.config.preparation import prepare
 
-# What runs store in the config or a plugin, and what is called in the orchestrator's process reads.
-
-LOST_BEGIN = """
-import functools
+CONFIG = """
+import functools, os, random, time
+from pathlib import Path
+from time import sleep
+from time import sleep as wait
+import numpy as np
 from robot_runner import ExperimentConfig, EventSubscriptionController, Factor, RobotRunnerEvents, RunTableModel
-from robot_runner.plugins import Profiler
+from robot_runner.plugins import Profiler, System, connect_robot
 {head}
 class RobotRunnerConfig(ExperimentConfig):
-    experiment_name = "lost"
+    experiment_name = "study"
 {body}
     def create_run_table(self):
         return RunTableModel([Factor("A", [1, 2])])
 """
+WHERE = "study.py, RobotRunnerConfig"
+
+
+def told(folder: Path, words: str, body: str, head: str = "", **settings: str) -> list[tuple[str, str]]:
+    """Return place and problem of each finding with these words in its problem."""
+    config = folder / "study.py"
+    config.write_text(CONFIG.format(head=head, body=body), encoding="utf-8")
+    preparation = prepare(config, settings, is_for_here=False)
+    assert preparation.experiment is not None, preparation.findings
+    return [(each.where, each.problem) for each in preparation.findings if words in each.problem]
+
+
+# What runs store in the config or a plugin, and what is called in the orchestrator's process reads.
+
 LOST_AFTER = "    def after_experiment(self, context): print(self.results)\n"
-LOST_CONFIG = "lost.py, RobotRunnerConfig"
 
 
 def lost_told(folder: Path, body: str, head: str = "", **settings: str) -> list[tuple[str, str]]:
-    config = folder / "lost.py"
-    config.write_text(LOST_BEGIN.format(head=head, body=body), encoding="utf-8")
-    preparation = prepare(config, settings, is_for_here=False)
-    assert preparation.experiment is not None, preparation.findings
-    found = [each for each in preparation.findings if "gone with it" in each.problem]
-    return [(each.where, each.problem.partition(", which runs change")[0]) for each in found]
+    found = told(folder, "gone with it", body, head, **settings)
+    return [(where, problem.partition(", which runs change")[0]) for where, problem in found]
 
 
 @pytest.mark.parametrize(
@@ -52,8 +63,8 @@ def lost_told(folder: Path, body: str, head: str = "", **settings: str) -> list[
     ids=["a list", "a sum", "a dict", "an element", "in a method", "read in a method", "behind a decorator"],
 )
 def test_what_is_read_after_the_experiment_is_named(tmp_path: Path, body: str) -> None:
-    assert lost_told(tmp_path, body) == [(LOST_CONFIG, "after_experiment reads self.results")]
-    assert lost_told(tmp_path, body, run_process="spawn") == [(LOST_CONFIG, "after_experiment reads self.results")]
+    assert lost_told(tmp_path, body) == [(WHERE, "after_experiment reads self.results")]
+    assert lost_told(tmp_path, body, run_process="spawn") == [(WHERE, "after_experiment reads self.results")]
     assert lost_told(tmp_path, body, run_process="in_process") == []
 
 
@@ -65,7 +76,7 @@ def test_what_is_read_between_runs_is_named_also_where_events_are_subscribed(tmp
         "    def first(self): self.count = 1\n"
         "    def second(self): print(self.count)\n"
     )
-    assert lost_told(tmp_path, body) == [(LOST_CONFIG, "before_run reads self.count")]
+    assert lost_told(tmp_path, body) == [(WHERE, "before_run reads self.count")]
 
 
 def test_plugins_of_the_config_s_own_are_looked_at_as_well(tmp_path: Path) -> None:
@@ -113,19 +124,17 @@ def test_nothing_is_said_of_what_arrives(tmp_path: Path, body: str) -> None:
 
 
 def unseen_told(folder: Path, body: str, **settings: str) -> list[tuple[str, str]]:
-    config = folder / "lost.py"
-    config.write_text(LOST_BEGIN.format(head="", body=body), encoding="utf-8")
-    found = [each for each in prepare(config, settings, is_for_here=False).findings if "sees nothing" in each.problem]
-    return [(each.where, each.problem.partition(", which runs read")[0]) for each in found]
+    found = told(folder, "sees nothing", body, **settings)
+    return [(where, problem.partition(", which runs read")[0]) for where, problem in found]
 
 
 @pytest.mark.parametrize("event", ["before_experiment", "before_run"])
 def test_what_runs_in_a_fresh_interpreter_or_on_a_worker_do_not_see_is_named(tmp_path: Path, event: str) -> None:
     body = f"    offset = 0\n    def {event}(self): self.offset = 5\n"
     body += "    def populate_run_data(self): return {'E': self.offset}\n"
-    told = [(LOST_CONFIG, f"{event} changes self.offset")]
-    assert unseen_told(tmp_path, body, run_process="spawn") == told
-    assert unseen_told(tmp_path, body, cluster="tcp://127.0.0.1:8786") == told
+    expected = [(WHERE, f"{event} changes self.offset")]
+    assert unseen_told(tmp_path, body, run_process="spawn") == expected
+    assert unseen_told(tmp_path, body, cluster="tcp://127.0.0.1:8786") == expected
     assert unseen_told(tmp_path, body) == []
     set_up = f"    def start_run(self): self.offset = 5\n{body}"
     assert unseen_told(tmp_path, set_up, run_process="spawn") == [], "each run sets it up itself"
@@ -133,31 +142,13 @@ def test_what_runs_in_a_fresh_interpreter_or_on_a_worker_do_not_see_is_named(tmp
 
 # A generator of random numbers that is made once, and from which runs draw: each of them the same numbers.
 
-DRAWN_BEGIN = """
-import random, functools
-import numpy as np
-from robot_runner import ExperimentConfig, Factor, RunTableModel
-from robot_runner.plugins import Profiler
-{head}
-class RobotRunnerConfig(ExperimentConfig):
-    experiment_name = "generators"
-{body}
-    def create_run_table(self):
-        return RunTableModel([Factor("A", [1, 2])])
-"""
-
 
 def drawn_told(folder: Path, head: str, body: str, **settings: str) -> list[tuple[str, str]]:
-    config = folder / "generators.py"
-    config.write_text(DRAWN_BEGIN.format(head=head, body=body), encoding="utf-8")
-    preparation = prepare(config, settings, is_for_here=False)
-    assert preparation.experiment is not None, preparation.findings
-    found = [each for each in preparation.findings if "random numbers" in each.problem]
-    return [(each.where, each.problem.partition("state of ")[2].partition(", and draws")[0]) for each in found]
+    found = told(folder, "random numbers", body, head, **settings)
+    return [(where, problem.partition("state of ")[2].partition(", and draws")[0]) for where, problem in found]
 
 
 DRAWN_DRAWS = "    def launch_mission(self, context): print(GEN.normal())\n"
-DRAWN_CONFIG = "generators.py, RobotRunnerConfig"
 DRAWN_METER = """
 class Meter(Profiler):
     def __init__(self):
@@ -171,19 +162,19 @@ class Meter(Profiler):
 @pytest.mark.parametrize(
     ("head", "body", "where", "named"),
     [
-        ("GEN = np.random.default_rng(1)", DRAWN_DRAWS, DRAWN_CONFIG, "GEN"),
-        ("GEN = np.random.RandomState(1)", DRAWN_DRAWS, DRAWN_CONFIG, "GEN"),
+        ("GEN = np.random.default_rng(1)", DRAWN_DRAWS, WHERE, "GEN"),
+        ("GEN = np.random.RandomState(1)", DRAWN_DRAWS, WHERE, "GEN"),
         (
             "GEN = random.Random(1)",
             "    def start_run(self): print([GEN.random() for _ in 'a'])\n",
-            DRAWN_CONFIG,
+            WHERE,
             "GEN",
         ),
-        ("", "    rng = random.Random(3)\n    def stop_run(self): self.rng.random()\n", DRAWN_CONFIG, "self.rng"),
+        ("", "    rng = random.Random(3)\n    def stop_run(self): self.rng.random()\n", WHERE, "self.rng"),
         (
             "GEN = random.Random(1)\ndef drawn():\n    return (lambda: GEN.random())()\n",
             "    def helped(self): return drawn()\n    def launch_mission(self): self.helped()\n",
-            DRAWN_CONFIG,
+            WHERE,
             "GEN",
         ),
         (
@@ -227,45 +218,31 @@ def test_nothing_is_said_of_what_is_right(tmp_path: Path, head: str, body: str) 
 
 # A mission of the simulated robot that waits by the clock of this machine, which is not its clock.
 
-SLEPT_BEGIN = """
-import time
-from time import sleep
-from time import sleep as wait
-from robot_runner import ExperimentConfig, Factor, RunTableModel
-from robot_runner.plugins import System
-
+SLEPT_HEAD = """
 def rest(seconds):
     wait(seconds)
 
 class Lift(System):
-    def launch_mission(self, context): {of_lift}
-
-class RobotRunnerConfig(ExperimentConfig):
-    experiment_name = "sleeping"
+    def launch_mission(self, context): {}
+"""
+SLEPT_BODY = """
     robot = "simulated"
     plugins = [Lift()]
 
     def start_run(self, context): time.sleep(1)
-    def launch_mission(self, context): {of_config}
+    def launch_mission(self, context): {}
     def helped(self): sleep(1)
-
-    def create_run_table(self):
-        return RunTableModel([Factor("A", [1, 2])])
 """
-SLEPT_CONFIG = "sleeping.py, RobotRunnerConfig"
 
 
 def slept_told(folder: Path, of_config: str, of_lift: str = "pass", **settings: str) -> list[str]:
-    config = folder / "sleeping.py"
-    config.write_text(SLEPT_BEGIN.format(of_config=of_config, of_lift=of_lift), encoding="utf-8")
-    preparation = prepare(config, settings, is_for_here=False)
-    assert preparation.experiment is not None, preparation.findings
-    return [each.where for each in preparation.findings if "time.sleep" in each.problem]
+    found = told(folder, "time.sleep", SLEPT_BODY.format(of_config), SLEPT_HEAD.format(of_lift), **settings)
+    return [where for where, _ in found]
 
 
 @pytest.mark.parametrize("way", ["time.sleep(1)", "sleep(1)", "rest(1)", "self.helped()", "[wait(1) for _ in 'ab']"])
 def test_a_mission_that_waits_by_this_machine_s_clock_is_told(tmp_path: Path, way: str) -> None:
-    assert slept_told(tmp_path, way) == [SLEPT_CONFIG]
+    assert slept_told(tmp_path, way) == [WHERE]
     assert slept_told(tmp_path, "pass", "time.sleep(1)") == ["plugin Lift"]
     assert slept_told(tmp_path, way, robot="ros2://alice") == []
 
@@ -279,13 +256,10 @@ def test_a_mission_that_waits_by_the_run_s_clock_is_right(tmp_path: Path, way: s
 
 
 def driven_told(folder: Path, event: str, call: str, **settings: str) -> list[str]:
-    config = folder / "driven.py"
-    head = "from robot_runner.plugins import connect_robot\nTWIST = 'geometry_msgs/msg/Twist'\n"
     body = f"    def {event}(self, context): {call}\n"
-    config.write_text(LOST_BEGIN.format(head=head, body=body), encoding="utf-8")
-    preparation = prepare(config, {"robot": "rosbridge://lab:9090", **settings}, is_for_here=False)
-    assert preparation.experiment is not None, preparation.findings
-    return [each.problem for each in preparation.findings if "nothing stops the robot" in each.problem]
+    head = "TWIST = 'geometry_msgs/msg/Twist'"
+    found = told(folder, "nothing stops the robot", body, head, **{"robot": "rosbridge://lab:9090", **settings})
+    return [problem for _, problem in found]
 
 
 DRIVE = "connect_robot(context).publish('cmd_vel', 'geometry_msgs/TwistStamped', {'twist': {'linear': {'x': 0.2}}})"
@@ -301,8 +275,8 @@ DRIVE = "connect_robot(context).publish('cmd_vel', 'geometry_msgs/TwistStamped',
     ],
 )
 def test_a_robot_that_is_driven_in_the_orchestrator_s_process_is_told(tmp_path: Path, event: str, call: str) -> None:
-    told = f"{event} drives the robot in the orchestrator's process: where that is killed meanwhile, "
-    assert driven_told(tmp_path, event, call) == [f"{told}nothing stops the robot"]
+    problem = f"{event} drives the robot in the orchestrator's process: where that is killed meanwhile, "
+    assert driven_told(tmp_path, event, call) == [f"{problem}nothing stops the robot"]
     assert driven_told(tmp_path, event, call, robot="simulated") == []
     assert driven_told(tmp_path, event, call, run_process="in_process") == []
     assert driven_told(tmp_path, "launch_mission", call) == []
@@ -325,13 +299,7 @@ def test_what_else_is_published_in_the_orchestrator_s_process_is_right(tmp_path:
 
 
 def written_anew(folder: Path, body: str, head: str = "") -> list[str]:
-    config = folder / "writing.py"
-    config.write_text(
-        LOST_BEGIN.format(head=f"import os\nfrom pathlib import Path\n{head}", body=body), encoding="utf-8"
-    )
-    preparation = prepare(config, is_for_here=False)
-    assert preparation.experiment is not None, preparation.findings
-    return [each.problem for each in preparation.findings if "again in each run" in each.problem]
+    return [problem for _, problem in told(folder, "again in each run", body, head)]
 
 
 @pytest.mark.parametrize(
@@ -350,8 +318,9 @@ def written_anew(folder: Path, body: str, head: str = "") -> list[str]:
 )
 def test_a_file_that_each_run_replaces_is_told(tmp_path: Path, call: str) -> None:
     head = "import numpy\nOUT = 'out.csv'\ndef written(name, mode):\n    return open('out.csv', mode='w')\n"
-    told = written_anew(tmp_path, f"    def stop_run(self, context): {call}\n", head)
-    assert told == ["stop_run writes 'out.csv' again in each run: the last one replaces the others"]
+    assert written_anew(tmp_path, f"    def stop_run(self, context): {call}\n", head) == [
+        "stop_run writes 'out.csv' again in each run: the last one replaces the others"
+    ]
 
 
 @pytest.mark.parametrize(
@@ -378,30 +347,16 @@ def test_a_file_that_each_run_has_for_itself_is_right(tmp_path: Path, call: str)
 
 # Measures that `continue` publishes, where a run without a value is tried again.
 
-LATE_BEGIN = """
-from robot_runner import BadValuePolicy, ExperimentConfig, Factor, RunTableModel
-class RobotRunnerConfig(ExperimentConfig):
-    experiment_name = "late"
-    on_bad_value = BadValuePolicy.{policy}
-{body}
-    def create_run_table(self):
-        return RunTableModel([Factor("A", [1, 2])], data_columns=["Voltage", "Mood"])
-"""
-
 
 def told_late(folder: Path, policy: str, body: str) -> list[str]:
-    config = folder / "late.py"
-    config.write_text(LATE_BEGIN.format(policy=policy, body=body), encoding="utf-8")
-    preparation = prepare(config, is_for_here=False)
-    assert preparation.experiment is not None, preparation.findings
-    return [each.problem for each in preparation.findings if "is over" in each.problem]
+    return [problem for _, problem in told(folder, "is over", body, on_bad_value=policy)]
 
 
 @pytest.mark.parametrize("policy", ["TRY_AGAIN", "FAIL"])
 def test_a_measure_that_comes_when_its_absence_has_failed_the_run_is_told(tmp_path: Path, policy: str) -> None:
-    told = "continue_experiment publishes Mood, Voltage once a run is over, which on_bad_value has taken for missing"
+    problem = "continue_experiment publishes Mood, Voltage once a run is over, which on_bad_value has taken for missing"
     body = "    def continue_experiment(self, context):\n        context.publish('Voltage', 12)\n"
-    assert told_late(tmp_path, policy, f"{body}        context.publish(name='Mood', value=1)\n") == [told]
+    assert told_late(tmp_path, policy, f"{body}        context.publish(name='Mood', value=1)\n") == [problem]
 
 
 def test_a_measure_that_comes_after_the_run_is_right_where_a_missing_one_is_kept(tmp_path: Path) -> None:
