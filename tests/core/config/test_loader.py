@@ -22,6 +22,12 @@ def refused(path: Path, **overrides: str) -> tuple[Finding, ...]:
     return error.value.findings
 
 
+def refused_line(write_config: Write, line: str) -> Finding:
+    """Return the finding on a line at the beginning of an otherwise valid config."""
+    (finding,) = refused(write_config(head=f"{line}\nclass RobotRunnerConfig:\n    pass\n"))
+    return finding
+
+
 def test_a_file_that_is_not_there_is_refused_with_the_nearest_name(write_config: Write) -> None:
     path = write_config()
     (finding,) = refused(path.with_name("confg.py"))
@@ -88,21 +94,7 @@ def test_what_the_file_raises_is_a_finding_with_the_line_of_the_file(write_confi
 
 
 def test_a_config_that_exits_while_it_is_loaded_does_not_take_us_with_it(write_config: Write) -> None:
-    path = write_config(head="import sys\nsys.exit(0)\nclass RobotRunnerConfig:\n    pass\n")
-    assert "SystemExit" in refused(path)[0].problem
-
-
-def test_a_missing_variable_of_the_environment_is_named(write_config: Write) -> None:
-    path = write_config(head="import os\nos.environ['NO_SUCH_NAME']\nclass RobotRunnerConfig:\n    pass\n")
-    assert refused(path)[0].fix == "Set it in the environment: export NO_SUCH_NAME=... before the command."
-    path = write_config(head="{}['NO_SUCH_NAME']\nclass RobotRunnerConfig:\n    pass\n")
-    assert refused(path)[0].fix == "Correct this line."
-
-
-def test_a_missing_package_is_named(write_config: Write) -> None:
-    path = write_config(head="import no_such_package\nclass RobotRunnerConfig:\n    pass\n")
-    (finding,) = refused(path)
-    assert "'no_such_package'" in finding.fix
+    assert "SystemExit" in refused_line(write_config, "import sys\nsys.exit(0)").problem
 
 
 @pytest.mark.parametrize("file", ["drivers.py", "drivers/__init__.py", "drivers/robots/arm.py"])
@@ -120,8 +112,7 @@ def test_a_module_in_a_folder_above_the_config_is_told_with_this_folder(tmp_path
 
 
 def test_a_module_that_its_package_does_not_have_is_told_with_the_folder_of_the_package(write_config: Write) -> None:
-    path = write_config(head="import json.decodr\nclass RobotRunnerConfig:\n    pass\n")
-    assert refused(path)[0].fix == (
+    assert refused_line(write_config, "import json.decodr").fix == (
         f"'json' is in {Path(json.__file__).parent}, which has no 'decodr': "
         "correct the name, or get the version that has it."
     )
@@ -138,6 +129,11 @@ def test_a_folder_without_python_above_the_config_is_not_taken_for_a_missing_pac
 @pytest.mark.parametrize(
     ("line", "fix"),
     [
+        ("import os; os.environ['NO_NAME']", "Set it in the environment: export NO_NAME=... before the command."),
+        ("{}['NO_SUCH_NAME']", "Correct this line."),
+        ("import no_package", "Install the package that brings 'no_package', or correct the name."),
+        ("import robotrunner", "Did you mean 'robot_runner'?"),
+        ("import robot_runner.profilers", "Did you mean 'robot_runner.plugins.profilers'?"),
         (
             "from robot_runner.plugins import PsUtil",
             "It is elsewhere: from robot_runner.plugins.profilers import PsUtil",
@@ -147,23 +143,6 @@ def test_a_folder_without_python_above_the_config_is_not_taken_for_a_missing_pac
         ("from robot_runner.plugins import Factor", "It is elsewhere: from robot_runner import Factor"),
         ("from pathlib import Pth", "Did you mean 'Path'?"),
         ("raise ImportError(\"cannot import name 'x' from 'no.such'\")", "Correct this line."),
-    ],
-)
-def test_where_a_name_is_imported_from_is_told(write_config: Write, line: str, fix: str) -> None:
-    assert refused(write_config(head=f"{line}\nclass RobotRunnerConfig:\n    pass\n"))[0].fix == fix
-
-
-def test_a_neighbour_that_is_called_like_a_module_of_pythons_is_to_be_renamed(
-    write_config: Write, tmp_path: Path
-) -> None:
-    (tmp_path / "queue.py").write_text("orders = []\n")
-    (finding,) = refused(write_config(head="from queue import orders\nclass RobotRunnerConfig:\n    pass\n"))
-    assert finding.fix == f"Rename {tmp_path / 'queue.py'}: Python's own module of that name was imported instead."
-
-
-@pytest.mark.parametrize(
-    ("line", "fix"),
-    [
         ("x = Factor('Task', [1])", "Import it: from robot_runner import Factor"),
         ("x = PsUtil()", "Import it: from robot_runner.plugins.profilers import PsUtil"),
         ("x = time.time()", "Import it: import time"),
@@ -182,11 +161,18 @@ def test_a_neighbour_that_is_called_like_a_module_of_pythons_is_to_be_renamed(
         ("x = qqqqq", "Define it, import it, or correct the name."),
     ],
 )
-def test_a_name_that_is_not_defined_is_told_with_its_import_or_the_nearest(
+def test_a_line_that_raises_is_told_with_the_import_or_the_name_that_mends_it(
     write_config: Write, line: str, fix: str
 ) -> None:
-    (finding,) = refused(write_config(head=f"{line}\nclass RobotRunnerConfig:\n    pass\n"))
-    assert finding.fix == fix
+    assert refused_line(write_config, line).fix == fix
+
+
+def test_a_neighbour_that_is_called_like_a_module_of_pythons_is_to_be_renamed(
+    write_config: Write, tmp_path: Path
+) -> None:
+    (tmp_path / "queue.py").write_text("orders = []\n")
+    finding = refused_line(write_config, "from queue import orders")
+    assert finding.fix == f"Rename {tmp_path / 'queue.py'}: Python's own module of that name was imported instead."
 
 
 @pytest.mark.parametrize("fault", ["x = 1 / 0", "x = (", "raise KeyError('x')"])
@@ -205,7 +191,7 @@ def test_a_neighbour_that_is_imported_in_place_of_pythons_own_is_to_be_renamed(
     shadow = tmp_path / "colorsys.py"
     shadow.touch()
     for line in ("from colorsys import rgb_to_hsv", "import colorsys; colorsys.rgb_to_hsv"):
-        (finding,) = refused(write_config(head=f"{line}\nclass RobotRunnerConfig:\n    pass\n"))
+        finding = refused_line(write_config, line)
         assert finding.fix == f"Rename {shadow}: it is imported in place of Python's own module of that name."
     monkeypatch.delitem(sys.modules, "colorsys", raising=False)
 
@@ -213,15 +199,8 @@ def test_a_neighbour_that_is_imported_in_place_of_pythons_own_is_to_be_renamed(
 def test_modules_that_import_each_other_are_told_how_to_part(write_config: Write, tmp_path: Path) -> None:
     (tmp_path / "first_of_two.py").write_text("import second_of_two\nx = 1\n")
     (tmp_path / "second_of_two.py").write_text("from first_of_two import x\n")
-    (finding,) = refused(write_config(head="import first_of_two\nclass RobotRunnerConfig:\n    pass\n"))
+    finding = refused_line(write_config, "import first_of_two")
     assert finding.fix == "Move what both modules need into a third, which both import."
-
-
-def test_a_misspelt_name_of_ours_is_told(write_config: Write) -> None:
-    (finding,) = refused(write_config(head="import robotrunner\nclass RobotRunnerConfig:\n    pass\n"))
-    assert finding.fix == "Did you mean 'robot_runner'?"
-    (finding,) = refused(write_config(head="import robot_runner.profilers\nclass RobotRunnerConfig:\n    pass\n"))
-    assert finding.fix == "Did you mean 'robot_runner.plugins.profilers'?"
 
 
 @pytest.mark.parametrize(
