@@ -24,6 +24,7 @@ from robot_runner.core.config.experiment import (
 from robot_runner.core.config.graph_checks import GraphCheck
 from robot_runner.core.config.loader import LoadedConfig
 from robot_runner.core.config.local_modules import check_neighbours
+from robot_runner.core.config.name_checks import check_published, check_undefined_names, check_unused_names
 from robot_runner.core.config.notify import check_notify
 from robot_runner.core.config.operator_checks import check_operator_steps
 from robot_runner.core.config.operator_steps import operator_measures
@@ -31,9 +32,6 @@ from robot_runner.core.config.parameters import Parameters
 from robot_runner.core.config.plugin_checks import check_plugins, companions, gather_plugins, unbuilt_names
 from robot_runner.core.config.registered_config import check_registration, registered
 from robot_runner.core.config.treatment_makers import maker_findings
-from robot_runner.core.config.undefined_names import check_undefined_names
-from robot_runner.core.config.unpublished import check_published
-from robot_runner.core.config.unused_names import check_unused_names
 from robot_runner.core.design.batches import as_configured
 from robot_runner.core.design.precision import most_repetitions
 from robot_runner.core.design.run_table_model import RunTableModel

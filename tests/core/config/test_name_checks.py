@@ -1,4 +1,4 @@
-"""Names of a config that look like an event or a parameter, and that nothing uses."""
+"""Names of a config that nothing uses though they look like ours, that nothing defines, or that nothing publishes."""
 
 from __future__ import annotations
 
@@ -12,6 +12,8 @@ from tests.conftest import HEAD
 from robot_runner.core.config.preparation import prepare
 
 Write = Callable[..., Path]
+
+# Names that look like an event or a parameter, and that nothing uses.
 
 
 def warnings(config: Path) -> dict[str, str]:
@@ -207,3 +209,158 @@ class RobotRunnerConfig(Lab):
     assert errors(write_config("def start_run(self):\n        robot: Robot('x')", head=head)) == [
         ("10", "attempts: the colon makes it an annotation, which gives no value", "Write attempts = 3.")
     ]
+
+
+# Names that the code reads, and that nothing defines.
+
+
+def undefined(config: Path) -> list[tuple[str, str, str]]:
+    found = prepare(config).findings
+    return [(each.where, each.problem, each.fix) for each in found if "nothing defines" in each.problem]
+
+
+def test_a_name_that_is_not_defined_is_told_before_a_run_has_to_fail_of_it(write_config: Write) -> None:
+    """The experiment could be executed, it said, and each run failed: after its mission, if `stop_run` read it."""
+    body = """
+    def launch_mission(self, context):
+        time.sleep(1)
+    def stop_run(self, context):
+        print([contxt.run_id for _ in "ab"])
+    """
+    path = write_config(body)
+    read = {word: number for number, line in enumerate(path.read_text().splitlines(), 1) for word in line.split()}
+    assert undefined(path) == [
+        (
+            f"{path}:{read['time.sleep(1)']}",
+            "nothing defines the name 'time', which launch_mission reads",
+            "Import it: import time",
+        ),
+        (
+            f"{path}:{read['print([contxt.run_id']}",
+            "nothing defines the name 'contxt', which stop_run reads",
+            "Did you mean 'context'?",
+        ),
+    ]
+
+
+def test_a_name_that_the_run_table_lacks_is_told_once(write_config: Write) -> None:
+    table = "    def create_run_table(self):\n        return RunTableModel([Faktor('Task', [1])])\n"
+    found = [each for each in prepare(write_config(table=table)).findings if "Faktor" in each.problem]
+    assert [(each.is_error, each.fix) for each in found] == [(True, "Did you mean 'Factor'?")]
+
+
+def test_a_parameter_that_a_function_lacks_is_told(write_config: Write) -> None:
+    body = """
+    def start_run(self, context):
+        self.go()
+    def go():
+        print(context.run_id)
+    """
+    assert [fix for *_, fix in undefined(write_config(body))] == ["Make it a parameter of go."]
+
+
+def test_a_name_that_is_not_defined_in_a_neighbour_is_told_with_its_file(write_config: Write, tmp_path: Path) -> None:
+    neighbour = tmp_path / "neighbour_with_a_slip.py"
+    neighbour.write_text("def far():\n    return math.inf\n")
+    head = """
+from robot_runner import *
+from neighbour_with_a_slip import far
+class RobotRunnerConfig(ExperimentConfig):
+    experiment_name = "trial"
+"""
+    assert [where for where, *_ in undefined(write_config(head=head))] == [f"{neighbour}:2"]
+
+
+@pytest.mark.parametrize(
+    "code",
+    [
+        "global made\n        made = 1",
+        "print(made_later, __file__, __name__)",
+        "try:\n            unicode\n        except NameError:\n            pass",
+        "import math\n        print(math.pi)",
+        "def inner() -> int:\n            return inner()",
+        "print(sorted([2, 1], key=lambda number: -number))",
+        "print(super().experiment_name, __class__)",
+    ],
+)
+def test_a_name_that_is_defined_by_the_time_it_is_read_is_not_told(write_config: Write, code: str) -> None:
+    path = write_config(f"def start_run(self, context):\n        {code}\n    def stop_run(self):\n        print(made)")
+    path.write_text(path.read_text() + "\n\nmade_later = made = 1\n")
+    assert undefined(path) == []
+
+
+# Measures that a config declares and that nothing publishes.
+
+TABLE = """\
+    def create_run_table(self):
+        return RunTableModel([Factor("Task", ["Video"])], data_columns=["Accuracy", Measure("Score", "1", "Points.")])
+"""
+
+#: A callback that publishes one of them.
+ACCURACY = 'def populate_run_data(self, context): return {"Accuracy": 1}'
+
+#: A decorator as many have it, which calls a method with whatever it is given.
+TIMED = "def timed(method):\n    def waited(*given): return method(*given)\n    return waited"
+
+
+def unpublished(config: Path) -> list[str]:
+    found = prepare(config).findings
+    assert not any(finding.is_error for finding in found), found
+    return [f"{each.problem} → {each.fix}" for each in found if each.problem.startswith("nothing publishes")]
+
+
+def test_a_measure_that_no_callback_publishes_is_told(write_config: Write) -> None:
+    body = """
+    def populate_run_data(self, context):
+        return {"Accuracy": 0.5}
+    """
+    assert unpublished(write_config(body, table=TABLE)) == [
+        "nothing publishes 'Score': it stays empty → Return it from populate_run_data, or leave it out of data_columns."
+    ]
+
+
+def test_it_is_told_with_the_name_of_an_undeclared_one_that_is_published(write_config: Write) -> None:
+    body = """
+    def launch_mission(self, context):
+        context.publish("Accuracy", 0.5)
+        context.publish("Scores", 3)
+    """
+    (told,) = unpublished(write_config(body, table=TABLE))
+    assert "Did you mean 'Scores'?" in told
+
+
+@pytest.mark.parametrize(
+    "body",
+    [
+        'def populate_run_data(self, context): return {"Accuracy": 0.5, "Score": None}',
+        'def populate_run_data(self, context): return {"Accuracy": 0.5, **self.found()}\ndef found(self): return {}',
+        'def populate_run_data(self, context):\n    found = {"Accuracy": 0.5}\n    return found',
+        'def launch_mission(self, context):\n    for each in self.names: context.publish(each, 1)\nnames = "Accuracy",',
+        f"{ACCURACY}\ndef stop_run(self, context): self.finish(context)\ndef finish(self, context): ...",
+        f'{ACCURACY}\ndef stop_run(self, context): publish = context.publish; publish("Score", 1)',
+        f"{ACCURACY}\ndef start_run(self, context): self.context = context\ndef stop_run(self): finish(self.context)",
+        f"{ACCURACY}\ndef start_run(self, context): self.context: object = context",
+        f"{ACCURACY}\ndef start_run(self, context): print(now := context)",
+        "def launch_mission(self, context): ...",  # publishes nothing so far
+        f"launch_mission = print\n{ACCURACY}",
+        'populate_run_data = lambda self: found()\ndef stop_run(self, context): context.publish("Accuracy", 1)',
+        f'names = ("Accuracy", "Score")\n{ACCURACY}',
+        f"{ACCURACY}\ndef start_run(self, context): Thread(target=shelf.poll, args=(context,)).start()",
+        f"{ACCURACY}\ndef start_run(self, context): shelf.poll(*[context], **{{'to': context}})",
+        f"{ACCURACY}\ndef start_run(self, context): self.before, self.context = None, context",
+        f"{ACCURACY}\ndef start_run(self, context): self.kept = {{'context': context}}",
+        f"{ACCURACY}\ndef start_run(self, context): self.contexts += [context]\ncontexts = []",
+        f"{ACCURACY}\ndef start_run(self, context): shelf.poll(lambda: context)",
+        f"{ACCURACY}\ndef start_run(self, context): self.later = {{'Score': context.publish}}",
+        f"{ACCURACY}\ndef start_run(self, *given): shelf.poll(*given)",
+        f"{ACCURACY}\n{TIMED}\n@timed\ndef start_run(self, context): shelf.poll(context)",
+    ],
+)
+def test_nothing_is_told_where_all_are_published_or_the_code_cannot_tell(write_config: Write, body: str) -> None:
+    assert not unpublished(write_config(body, table=TABLE))
+
+
+def test_the_design_of_an_earlier_tools_config_declares_and_does_not_publish(write_config: Write) -> None:
+    table = TABLE.replace("create_run_table", "create_run_table_model")
+    table += "    def create_run_table(self): return self.create_run_table_model()\n"
+    assert len(unpublished(write_config(ACCURACY, table=table))) == 1
