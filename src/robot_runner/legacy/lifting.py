@@ -14,7 +14,6 @@ from random import Random
 from secrets import randbits
 from typing import Any, NoReturn
 
-from robot_runner.core.config.dialects import seed_of_original
 from robot_runner.core.config.loader import (
     LoadedConfig,
     apply_overrides,
@@ -23,6 +22,7 @@ from robot_runner.core.config.loader import (
     threads_since,
 )
 from robot_runner.core.config.local_modules import local_modules_among
+from robot_runner.core.config.original import replicated_original
 from robot_runner.core.config.parameters import PARAMETERS
 from robot_runner.core.config.raised_errors import raised_in
 from robot_runner.core.config.source import ConfigSource
@@ -202,7 +202,9 @@ class _Lifting:
 
     def _settle_seed(self, folder: ExperimentFolder | None) -> None:
         """Take the seed with which the experiment or its original began, if it has; else the config's, or draw one."""
-        recorded = (_recorded_seed(folder) if folder else None) or seed_of_original()
+        recorded = _recorded_seed(folder) if folder else None
+        if recorded is None and (original := replicated_original()) is not None:
+            recorded = original.seed, original.seed_is_given
         own = self.session.own_seed
         if recorded is None:
             self.session.seed = randbits(32) if own is None else own

@@ -7,11 +7,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from robot_runner.core.config.checks import runs_listed_in
-from robot_runner.core.config.dialects import seed_known
 from robot_runner.core.config.experiment import Experiment, extended_model
+from robot_runner.core.config.original import Original, replicating
 from robot_runner.core.config.preparation import prepare
-from robot_runner.core.config.treatment_makers import known_treatments, treatments_known
+from robot_runner.core.config.treatment_makers import known_treatments
 from robot_runner.core.design.batches import EXTENDED, REPEATED, records_of
 from robot_runner.core.errors import ConfigError, Finding, PackageError
 from robot_runner.core.execution.given_values import given_elsewhere
@@ -189,8 +188,13 @@ def prepare_replication(root: Path, target: Path, deviations: Mapping[str, str])
         settings[_REGISTRATION] = str(files.registration)
     _refuse_redacted(settings)
     facts = _facts(files, manifest, deviations)
-    seed = seed_known(int(manifest["seed"]), is_given=bool(manifest.get("seed_is_given")))
-    with runs_listed_in(files.run_table), treatments_known(facts["treatments"]), seed:
+    original = Original(
+        run_table=files.run_table,
+        treatments=facts["treatments"],
+        seed=int(manifest["seed"]),
+        seed_is_given=bool(manifest.get("seed_is_given")),
+    )
+    with replicating(original):
         preparation = prepare(config, settings, first=see_to_it_first)
     absent = list(missing_inputs(files.config))
     if preparation.experiment is None:

@@ -6,14 +6,14 @@ import inspect
 import os
 import shutil
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, nullcontext, suppress
-from contextvars import ContextVar
+from contextlib import nullcontext, suppress
 from enum import Enum
 from pathlib import Path
 from typing import Any
 
 from robot_runner.core.config.experiment import experiment_folder
 from robot_runner.core.config.loader import LoadedConfig
+from robot_runner.core.config.original import replicated_original
 from robot_runner.core.config.parameters import PARAMETERS, REQUIRED, Parameter, Parameters, RunProcess
 from robot_runner.core.config.plugin_checks import announced_findings
 from robot_runner.core.config.raised_errors import raised_in
@@ -263,26 +263,14 @@ def _nearest_existing(folder: Path) -> Path:
 # The run table's model, as the config makes it.
 
 
-_LISTED_IN: ContextVar[Path | None] = ContextVar("_LISTED_IN", default=None)
-
-
-@contextmanager
-def runs_listed_in(path: Path) -> Iterator[None]:
-    """Let another run table list the runs of a design that is too large to be planned, for a while."""
-    token = _LISTED_IN.set(path)
-    try:
-        yield
-    finally:
-        _LISTED_IN.reset(token)
-
-
 def _listed_in(loaded: LoadedConfig) -> Path | None:
-    """Return the run table on disk that lists the runs of an experiment, if there is one."""
+    """Return the run table on disk that lists the runs of an experiment, or of its original, if there is one."""
     parameters, _ = read_parameters(loaded)
-    own = None
+    own, original = None, replicated_original()
     with suppress(ConfigError):  # found by the check of the path
         own = experiment_folder(parameters, loaded).run_table if parameters is not None else None
-    return next((path for path in (own, _LISTED_IN.get()) if path is not None and path.exists()), None)
+    tables = (own, original.run_table if original is not None else None)
+    return next((path for path in tables if path is not None and path.exists()), None)
 
 
 def _take_listed(model: RunTableModel, path: Path | None) -> list[Finding]:

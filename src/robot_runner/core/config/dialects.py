@@ -8,9 +8,8 @@ from __future__ import annotations
 import json
 import os
 import sys
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, suppress
-from contextvars import ContextVar
+from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -92,22 +91,3 @@ def stand_in_modules() -> frozenset[str]:
         with suppress(PluginError):  # one that cannot be used reads no config, which says so when it is loaded
             found |= point.called(lambda: frozenset(point.load().stand_in_modules()))  # noqa: B023 - called at once
     return found
-
-
-#: The seed of the original of a replication, and whether the original's config gave it.
-_ORIGINAL_SEED: ContextVar[tuple[int, bool] | None] = ContextVar("_ORIGINAL_SEED", default=None)
-
-
-@contextmanager
-def seed_known(seed: int, *, is_given: bool) -> Iterator[None]:
-    """Let a dialect that arranges runs while it loads a config arrange those of an original again, for a while."""
-    token = _ORIGINAL_SEED.set((seed, is_given))
-    try:
-        yield
-    finally:
-        _ORIGINAL_SEED.reset(token)
-
-
-def seed_of_original() -> tuple[int, bool] | None:
-    """Return the seed of a replication's original, and whether its config gave it; None if nothing is replicated."""
-    return _ORIGINAL_SEED.get()

@@ -5,15 +5,14 @@ Packages announce their makers in the group `robot_runner.preparations`.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
-from contextvars import ContextVar
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any, Protocol
 
+from robot_runner.core.config.original import replicated_original
 from robot_runner.core.config.plugin_checks import announced_findings
 from robot_runner.core.design.factor import Factor
 from robot_runner.core.entry_points import EntryPoint, entry_points
@@ -56,23 +55,10 @@ class TreatmentMaker(Protocol):
         """
 
 
-_NOTHING: Mapping[str, Any] = MappingProxyType({})
-_OF_ORIGINAL: ContextVar[Mapping[str, Any]] = ContextVar("_OF_ORIGINAL", default=_NOTHING)
-
-
-@contextmanager
-def treatments_known(facts: Mapping[str, Any]) -> Iterator[None]:
-    """Let an experiment that has not begun be checked with the treatments made for its original, for a while."""
-    token = _OF_ORIGINAL.set(facts)
-    try:
-        yield
-    finally:
-        _OF_ORIGINAL.reset(token)
-
-
 def maker_findings(factors: Sequence[Factor], folder: ExperimentFolder) -> list[Finding]:
-    """Return the findings of all makers on the treatments of these factors."""
-    known = known_treatments(folder) or _OF_ORIGINAL.get()
+    """Return the findings of all makers on the treatments of these factors; those of an original are known."""
+    original = replicated_original()
+    known = known_treatments(folder) or (original.treatments if original is not None else {})
     return announced_findings("preparations", lambda each: each.load().findings(factors, known.get(each.name, {})))
 
 
