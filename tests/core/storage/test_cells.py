@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from robot_runner.core.design.factor import Factor
 from robot_runner.core.errors import MeasureError
 from robot_runner.core.storage.cells import (
+    RunStatus,
     are_stamps,
     checked_measure,
     csv_text,
@@ -22,6 +23,7 @@ from robot_runner.core.storage.cells import (
     number_of,
     plain_value,
     quoted,
+    status_of_word,
     treatment_position,
     typed_value,
     typed_values,
@@ -232,3 +234,28 @@ def test_a_number_that_a_program_rounded_as_it_saved_the_table_is_the_same(value
 )
 def test_a_number_that_somebody_rounded_or_corrected_is_another(value: object, found: object) -> None:
     assert not is_same_number(value, found)
+
+
+# The words for how far a run has come.
+
+
+@pytest.mark.parametrize("status", list(RunStatus))
+def test_each_status_is_known_by_the_word_that_is_written(status: RunStatus) -> None:
+    assert status_of_word(status.value) is status
+
+
+@pytest.mark.parametrize("word", ["", " ", "-", "–", "—", "todo", "TODO", "To do"])  # noqa: RUF001 - dashes are meant
+def test_many_words_say_that_a_run_is_to_do(word: str) -> None:
+    assert status_of_word(word) is RunStatus.TODO
+
+
+def test_the_case_of_letters_does_not_matter() -> None:
+    assert [status_of_word(word) for word in ("DONE", "done", " Failed ")] == [
+        RunStatus.DONE,
+        RunStatus.DONE,
+        RunStatus.FAILED,
+    ]
+
+
+def test_other_words_say_nothing() -> None:
+    assert status_of_word("dnoe") is None
