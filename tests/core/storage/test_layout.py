@@ -1,4 +1,4 @@
-"""Folders of an experiment in whose place something else lies, and those of a user, where the XDG specification says."""
+"""Folders of an experiment in whose place something else lies, and those of a user by the XDG specification."""
 
 from __future__ import annotations
 
