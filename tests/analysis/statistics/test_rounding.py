@@ -133,7 +133,8 @@ def test_values_far_from_0_that_vary_are_compared(tmp_path: Path, offset: float,
 
 
 @pytest.mark.parametrize(
-    ("offset", "step", "told"), [(1.764e18, 256, "256"), (2.0**53, 2, "2.00"), (1e6, 2.0**-33 * 16, f"1.16{TIMES}10⁻¹⁰")]
+    ("offset", "step", "told"),
+    [(1.764e18, 256, "256"), (2.0**53, 2, "2.00"), (1e6, 2.0**-33 * 16, f"1.16{TIMES}10⁻¹⁰")],
 )
 def test_values_that_differ_by_too_little_beside_their_size_are_not_called_equal(
     tmp_path: Path, offset: float, step: float, told: str
