@@ -16,19 +16,13 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections import Counter, deque
-from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from collections import Counter
+from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-import psutil  # type: ignore[import-untyped]
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-__all__ = ["Answer", "Batch", "IdleProcessors", "batches_of", "main", "ros2_batches_of"]
+__all__ = ["Answer", "Batch", "batches_of", "main", "ros2_batches_of"]
 
 _PYTHON = Path(sys.executable)
 #: Has rclpy beside what this Python has: scripts/set_up.sh makes it, where a ROS 2 is published.
@@ -39,18 +33,12 @@ _OF_ROS2 = re.compile(r"\bmark\.ros2\b|\bover(_pairs)?\([^)]*\"ros2\"")
 _SHARED = "ROBOT_RUNNER_TESTS_FOLDER"
 #: Fewer files waste a start and imports each, a second of processor time, more leave processors idle at the end.
 _FILES = 20
-#: Rooms that take long for their lines: Chromium, a simulated chip, killed processes, cameras, graphs, experiments.
-#: They begin first: otherwise they would end alone, with idle processors beside them.
+#: Rooms of few lines that take long: Chromium, a simulated chip, killed processes, whole experiments. They begin first:
+#: otherwise they would end alone, with idle processors beside them.
 _LONG = {
-    *("adaptive", "cluster", "conditions", "docs", "examples", "firmware", "hostile", "meters", "page", "process"),
-    *("replication", "repository", "ros", "subjects"),
+    *("adaptive", "cluster", "conditions", "docs", "examples", "firmware", "hostile", "page", "process"),
+    *("replication", "repository", "subjects"),
 }
-#: How often the processors are looked at, s: a process that has begun imports for seconds before it waits for anything.
-_LOOK_S = 10.0
-#: Of what the processors could do between two looks, so much has to be left for one more process, %.
-_LEFT = 20.0
-#: So many more at the most: where a container has a part of its machine's processors, the others look idle.
-_MORE = 4
 _NOTHING_CHOSEN = 5  # pytest's exit status where no test was chosen: all tests of a batch are `soak`, say
 #: What pytest counts, in the order of its last line.
 _KINDS = ("failed", "passed", "skipped", "deselected", "xfailed", "xpassed", "error")
@@ -145,7 +133,7 @@ def ros2_batches_of(folder: Path) -> list[Batch]:
 
 
 def _processes() -> int:
-    """Return how many processes fit in any case: tests wait two thirds of their time for processes, robots, clocks."""
+    """Return how many processes fit: tests wait two thirds of their time for processes, robots and clocks."""
     return min(8, 3 * (os.cpu_count() or 1))
 
 
@@ -168,37 +156,16 @@ def _executed(batch: Batch, marks: str, words: list[str], shared: str, start: fl
     return Answer(batch, answer.returncode, answer.stdout, (began, time.monotonic() - start))
 
 
-class IdleProcessors:
-    """Tells whether the processors have time for one more process: tests of some rooms wait nearly all the time."""
-
-    def __init__(self) -> None:
-        self._looked = time.monotonic()
-        psutil.cpu_times_percent()  # the next look tells of what comes after this one
-
-    def have_time(self) -> bool:
-        """Whether a fifth of their time was left since the last look, which is ten seconds ago at least."""
-        if time.monotonic() - self._looked < _LOOK_S:
-            return False
-        self._looked = time.monotonic()
-        return bool(psutil.cpu_times_percent().idle > _LEFT)
-
-
-def _all_executed(
-    batches: list[Batch], marks: str, words: list[str], processes: int, has_time: Callable[[], bool]
-) -> list[Answer]:
-    """Execute all batches, so many at once and one more whenever there is time for it, and print each as it ends."""
-    answers: list[Answer] = []
-    left, running = deque(batches), set[Future[Answer]]()
-    with tempfile.TemporaryDirectory(prefix="rr-tests-") as shared, ThreadPoolExecutor(processes + _MORE) as executor:
+def _all_executed(batches: list[Batch], marks: str, words: list[str], processes: int) -> list[Answer]:
+    """Execute all batches, and print each as it ends."""
+    answers = []
+    with tempfile.TemporaryDirectory(prefix="rr-tests-") as shared, ThreadPoolExecutor(processes) as executor:
         start = time.monotonic()
+        futures = [executor.submit(_executed, batch, marks, words, shared, start) for batch in batches]
         try:
-            while left or running:
-                while left and (len(running) < processes or (len(running) < processes + _MORE and has_time())):
-                    running.add(executor.submit(_executed, left.popleft(), marks, words, shared, start))
-                done, running = wait(running, timeout=1.0, return_when=FIRST_COMPLETED)
-                for future in done:
-                    answers.append(answer := future.result())
-                    _tell(answer)
+            for future in as_completed(futures):
+                answers.append(answer := future.result())
+                _tell(answer)
         except KeyboardInterrupt:
             executor.shutdown(wait=False, cancel_futures=True)  # Ctrl-C reached the processes as well
             raise
@@ -223,8 +190,7 @@ def _told_work(seconds: float) -> str:
 def main() -> int:
     """Execute the tests below tests/ and return 1 where one failed or none was executed."""
     parser = argparse.ArgumentParser(description="Execute the tests in several processes; other words are pytest's.")
-    told = f"how many at once (default: {_processes()}, and more while processors are idle)"
-    parser.add_argument("--processes", type=int, help=told)
+    parser.add_argument("--processes", type=int, default=_processes(), help="how many at once (default: %(default)s)")
     parser.add_argument("-m", dest="marks", default="", help="which tests, by their marks, as pytest takes it")
     chosen, words = parser.parse_known_args()
     # A shell has what it starts in the background ignore Ctrl-C, and `nohup` that a terminal was closed: all that tests
@@ -234,9 +200,7 @@ def main() -> int:
     began = time.monotonic()
     tests = Path("tests")
     batches = [*ros2_batches_of(tests), *batches_of(tests)]  # those of ROS 2 wait most of their time
-    has_time = IdleProcessors().have_time if chosen.processes is None else lambda: False
-    processes = _processes() if chosen.processes is None else max(1, chosen.processes)
-    answers = _all_executed(batches, chosen.marks, words, processes, has_time)
+    answers = _all_executed(batches, chosen.marks, words, max(1, chosen.processes))
     for line in sorted({line for answer in answers if answer.is_good for line in answer.remarks}):
         print(line)
     print(_told_work(time.monotonic() - began))

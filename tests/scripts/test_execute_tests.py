@@ -9,13 +9,9 @@ import sys
 import warnings
 from collections import Counter
 from pathlib import Path
-from types import SimpleNamespace
 
 import pytest
 from scripts.execute_tests import Answer, Batch, batches_of, main, ros2_batches_of
-
-from robot_runner.testing import FakeClock
-from scripts import execute_tests
 
 ROOT = Path(__file__).parents[2]
 PASSES, FAILS = "def test_it() -> None:\n    assert True\n", "def test_it() -> None:\n    assert 1 == 2, 'no'\n"
@@ -95,48 +91,6 @@ def test_no_test_of_executions_imports_the_analysis() -> None:
     files = [file for folder in folders for file in folder.rglob("*.py")]
     assert len(files) > 100
     assert [file.name for file in files if large.search(file.read_text(encoding="utf-8"))] == []
-
-
-#: Each waits until so many have begun, or in vain.
-TOGETHER = """\
-import os
-import time
-from pathlib import Path
-
-
-def test_it():
-    Path(f"begun {{os.getpid()}}").touch()
-    deadline = time.monotonic() + {patience}
-    while len(list(Path().glob("begun *"))) < 3:
-        assert time.monotonic() < deadline
-        time.sleep(0.01)
-"""
-
-
-@pytest.mark.long
-@pytest.mark.parametrize(("has_time", "patience", "passed"), [(True, 60.0, 3), (False, 0.1, 1)])
-def test_one_more_process_begins_while_the_processors_have_time(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, has_time: bool, patience: float, passed: int
-) -> None:
-    text = TOGETHER.format(patience=patience)
-    write_tests(tmp_path, {"room/test_a.py": text, "hall/test_b.py": text, "shed/test_c.py": text})
-    monkeypatch.chdir(tmp_path)
-    batches = batches_of(Path("tests"))
-    answers = execute_tests._all_executed(batches, "", [], 1, lambda: has_time)
-    assert sum((answer.counts for answer in answers), Counter[str]())["passed"] == passed
-
-
-def test_processors_have_time_where_a_fifth_of_it_was_left_since_the_last_look(monkeypatch: pytest.MonkeyPatch) -> None:
-    clock, left = FakeClock(), [0.0, 25.0, 15.0, 50.0]
-    monkeypatch.setattr(execute_tests, "time", SimpleNamespace(monotonic=clock.now))
-    monkeypatch.setattr(execute_tests.psutil, "cpu_times_percent", lambda: SimpleNamespace(idle=left.pop(0)))
-    idle = execute_tests.IdleProcessors()
-    assert not idle.have_time(), "it has not looked for ten seconds"
-    told = []
-    for _ in range(3):
-        clock.sleep(11.0)
-        told += [idle.have_time(), idle.have_time()]
-    assert told == [True, False, False, False, True, False]
 
 
 def test_what_pytest_cannot_remove_of_earlier_sessions_fails_nothing() -> None:
