@@ -533,7 +533,7 @@ def test_hostile_names_are_text(browser: Browser, serve_page: Callable[..., Serv
     manifest = json.loads((root / "manifest.json").read_text()) | {"experiment_name": HOSTILE + "\x1b[2J\u202egnp"}
     (root / "manifest.json").write_text(json.dumps(manifest))
     table = (root / "run_table.csv").read_text().replace(",A,", ',"' + HOSTILE.replace('"', '""') + '",')
-    (root / "run_table.csv").write_text(table.replace(",701", ",9999.97"))
+    (root / "run_table.csv").write_text(table.replace(",701", ",9999.97").replace(",702", ",-1.5e-09"))
     finding = {"kind": "finding", "run": HOSTILE, "owner": HOSTILE, "problem": HOSTILE, "fix": HOSTILE}
     with (root / "journal.jsonl").open("a") as file:
         file.write(json.dumps(finding, separators=(",", ":")) + '\n{"kind":"event","at":5}\nnot json\n')
@@ -551,6 +551,8 @@ def test_hostile_names_are_text(browser: Browser, serve_page: Callable[..., Serv
     browser.wait_for(seen("#rows", "onerror"))
     browser.wait_for(seen("#told", "2 lines of the journal are damaged"))
     assert "\t10000\n" in text(browser, "#rows"), "a number is not rounded to 1.000e+4"
+    as_in_reports = "\N{MINUS SIGN}1.500\N{MULTIPLICATION SIGN}10\N{SUPERSCRIPT MINUS}\N{SUPERSCRIPT NINE}"
+    assert f"\t{as_in_reports}" in text(browser, "#rows")
     assert browser.evaluate("document.querySelectorAll('main img[src=x], main b, [onclick]').length") == 0
     assert text(browser, "#title").startswith("<img src=x")
     assert browser.complaints == []

@@ -22,13 +22,18 @@ export function setText(target, text) {
   if (target.textContent !== text) { target.textContent = text; }
 }
 
+// 1.5e-9 as reports and journals print it.
+function powered(text) {
+  return text.replace(/e([+-])(\d+)$/, (_, sign, power) => "×10" + (sign === "-" ? "⁻" : "") + power.replace(/\d/g, (digit) => "⁰¹²³⁴⁵⁶⁷⁸⁹"[digit]));
+}
+
 export function number(value) {
   if (value === null || value === undefined) { return "–"; }
   if (typeof value === "boolean") { return value ? "yes" : "no"; }
   if (typeof value !== "number") { return String(value); }
   const size = Math.abs(value);
   if (Number.isInteger(value) && size < 1e7) { return String(value).replace("-", "−"); }
-  const digits = size >= 1e7 || (size > 0 && size < 1e-4) ? value.toExponential(3) : size >= 9999.5 ? value.toFixed(0) : value.toPrecision(4);
+  const digits = size >= 1e7 || (size > 0 && size < 1e-4) ? powered(value.toExponential(3)) : size >= 9999.5 ? value.toFixed(0) : value.toPrecision(4);
   return digits.replace(/^-/, "−");
 }
 
