@@ -234,6 +234,17 @@ def test_an_experiment_that_cannot_end_is_no_refusal_and_tells_what_is_done(
     assert any(problem in f"{each['where']}: {each['problem']}" for each in told["findings"])
 
 
+def test_of_results_that_were_removed_meanwhile_nothing_is_told(
+    robot_runner: Callable, write_config: Callable[..., Path]
+) -> None:
+    removing = "def before_run(self, context): import shutil; context.run_id == 'r_2' and shutil.rmtree('results')"
+    write_config(f"{removing}\n{MEASURING}")
+    answer = robot_runner("run", "config.py")
+    assert answer.code == 1
+    assert "No such file or directory" in answer.err
+    assert "runs done" not in answer.out
+
+
 def test_before_experiment_that_raises_is_a_refusal(robot_runner: Callable, write_config: Callable[..., Path]) -> None:
     write_config("def before_experiment(self, context): raise OSError('the lab is closed')")
     answer = robot_runner("run", "config.py")

@@ -206,7 +206,9 @@ class _Orchestrator:
         except BaseException as error:
             self._notifications.tell_failure(_findings_of(error)[0])
             self._notifications.findings(self._interruption)
-            self._notice(self._finish_notice(findings))  # the runs that are done are still what was asked for
+            with suppress(OSError):
+                if self._experiment.folder.journal.exists():  # what is done is still there
+                    self._notice(self._finish_notice(findings))
             raise
         self._progress.find(*self._clock.look())
         # After an interruption the next execution looks, before it goes on; workers of a cluster have copies.
