@@ -149,7 +149,7 @@ def test_an_answer_after_one_run_leaves_what_is_to_be_made_safe_after_another_th
     (experiment.config.parent / "killed").touch()
     experiment.end()
     again = start("", "--only", "r_2", config=experiment.config)
-    again.wait_for("made_safe")
+    again.text_of("made_safe")
     assert [call[1:] for call in calls(again)] == [["r_1", "Video"]]
 
 
