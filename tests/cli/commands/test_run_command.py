@@ -198,40 +198,48 @@ def test_a_table_that_differs_from_the_plan_refuses(robot_runner: Callable, writ
     assert "Traceback" not in answer.err
 
 
-#: A link that `before_experiment` opens for `after_experiment`, and whose cable is pulled out meanwhile.
+#: A link that `before_experiment` opens for `after_experiment`, and that cannot be closed.
 LEFT_OPEN = """
 def before_experiment(self, context):
+    from robot_runner.core.errors import LinkError
     from robot_runner.core.events.resources import opened_here
     class Line:
-        def close(self): raise OSError(5, "Input/output error")
+        def close(self): raise {error}
     self.left_open = opened_here()
     self.left_open.__enter__().open("line", Line)
 """
+RAISING = "def after_experiment(self, context): raise OSError('the lab is closed')"
+UNPLUGGED, MOVING = (
+    "OSError(5, 'Input/output error')",
+    "LinkError('THE ROBOT MAY BE MOVING', where='robot', fix='Stop it.')",
+)
+NOT_CLOSED = "what a callback of the experiment left open cannot be closed: "
 
 
 @pytest.mark.parametrize(
-    ("callback", "problem"),
+    ("callbacks", "problems"),
     [
-        (
-            "def after_experiment(self, context): raise OSError('the lab is closed')",
-            "after_experiment of config: OSError",
-        ),
-        (LEFT_OPEN, "what a callback of the experiment left open cannot be closed: [Errno 5] Input/output error"),
+        (RAISING, ["after_experiment of config: OSError"]),
+        (LEFT_OPEN.format(error=UNPLUGGED), [f"{NOT_CLOSED}OSError: [Errno 5] Input/output error"]),
+        (LEFT_OPEN.format(error="RuntimeError('no context')"), [f"{NOT_CLOSED}RuntimeError: no context"]),
+        (LEFT_OPEN.format(error=MOVING), ["robot: THE ROBOT MAY BE MOVING"]),
+        (LEFT_OPEN.format(error=MOVING) + RAISING, ["after_experiment of config: OSError", "THE ROBOT MAY BE MOVING"]),
     ],
-    ids=["its last callback", "a link left open"],
+    ids=["its last callback", "a cable", "a library", "a robot", "two of them"],
 )
 def test_an_experiment_that_cannot_end_is_no_refusal_and_tells_what_is_done(
-    robot_runner: Callable, write_config: Callable[..., Path], callback: str, problem: str
+    robot_runner: Callable, write_config: Callable[..., Path], callbacks: str, problems: list[str]
 ) -> None:
-    write_config(f"{callback}\n{MEASURING}")
+    write_config(f"{callbacks}\n{MEASURING}")
     answer = robot_runner("run", "config.py")
     assert answer.code == 1
-    assert problem in answer.err
+    assert all(problem in answer.err for problem in problems)
     assert "All 4 runs are done" in answer.out
     answer = robot_runner("run", "config.py", "--json", "--set", "experiment_name=again")
     told = json.loads(answer.out)
     assert (told["exit_code"], told["runs"]["done"]) == (1, 4)
-    assert any(problem in f"{each['where']}: {each['problem']}" for each in told["findings"])
+    found = " ".join(f"{each['where']}: {each['problem']}" for each in told["findings"])
+    assert all(problem in found for problem in problems)
 
 
 def test_of_results_that_were_removed_meanwhile_nothing_is_told(

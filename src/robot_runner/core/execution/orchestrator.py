@@ -124,7 +124,6 @@ def execute_experiment(
             progress = ProgressManager(experiment, resumption, probe if probed else None, prepare)
             opened.enter_context(progress)
         opened.enter_context(callback_claims(experiment, lambda: held, progress.find))
-        opened.enter_context(_closing_left_open())
         told = (*findings, *holding.findings, *seen_to)
         return _Orchestrator(experiment, progress, interruption, observer, claims).execute(told)
 
@@ -134,7 +133,7 @@ def _closing_left_open() -> Iterator[None]:
     """Close at the end what callbacks of the experiment left open; what fails there is an error of the experiment.
 
     Raises:
-        ExecutionError: something cannot be closed.
+        RobotRunnerError: something cannot be closed; it has the error that ended the block, too.
     """
     ended_by: BaseException | None = None
     try:
@@ -144,11 +143,15 @@ def _closing_left_open() -> Iterator[None]:
             except BaseException as error:
                 ended_by = error
                 raise
-    except OSError as error:
-        if error is ended_by:
+    except Exception as error:
+        if error is ended_by or (ended_by is None and isinstance(error, RobotRunnerError)):
             raise
-        problem = f"what a callback of the experiment left open cannot be closed: {error}"
-        raise ExecutionError(problem, where="experiment", fix="See to it by hand; the results are whole.") from error
+        found = [*_findings_of(ended_by)] if isinstance(ended_by, Exception) else []
+        for each in _findings_of(error):
+            problem = f"what a callback of the experiment left open cannot be closed: {each.problem}"
+            fix = each.fix or "See that the robot stands still, if it was one. The results are whole."
+            found.append(Finding.error(each.where or "experiment", problem, fix))
+        raise ExecutionError.of_findings(found) from error
 
 
 def _findings_of(error: BaseException) -> Sequence[Finding]:
@@ -202,7 +205,8 @@ class _Orchestrator:
         """Execute the runs between `before_experiment` and `after_experiment`; the latter comes whatever happens."""
         self._notice(self._start_notice(findings))
         try:
-            self._execute_between_events(findings)
+            with _closing_left_open():
+                self._execute_between_events(findings)
         except BaseException as error:
             self._notifications.tell_failure(_findings_of(error)[0])
             self._notifications.findings(self._interruption)
