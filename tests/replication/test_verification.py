@@ -7,6 +7,7 @@ import io
 import json
 import os
 import re
+import shutil
 import stat
 import struct
 import zipfile
@@ -224,6 +225,15 @@ def test_what_is_no_package_is_refused(tmp_path):
     assert "no such file" in refusal_of(tmp_path / "nowhere.zip").problem
     (tmp_path / "empty").mkdir()
     assert "not a package" in refusal_of(tmp_path / "empty").problem
+
+
+def test_of_a_folder_the_package_in_it_is_named_and_no_other_archive(packed, tmp_path):
+    (tmp_path / "lab").mkdir()
+    with zipfile.ZipFile(tmp_path / "lab" / "holiday.zip", "w") as archive:
+        archive.writestr("beach.txt", "")
+    assert refusal_of(tmp_path / "lab").fix.startswith("Name a package;")
+    shutil.copy(packed.path, tmp_path / "lab" / "z_study.zip")
+    assert refusal_of(tmp_path / "lab").fix == f"Name what lies in it: {tmp_path / 'lab' / 'z_study.zip'}"
 
 
 def test_faults_do_not_grow_without_end(unpacked):

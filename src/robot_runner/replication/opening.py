@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path, PurePosixPath
 
-from robot_runner.core.errors import Finding, PackageError
+from robot_runner.core.errors import Finding, PackageError, StorageError
 from robot_runner.core.execution.interruption import stop_signals_handled
 from robot_runner.core.storage.guarded_files import open_to_read, read_bytes
 from robot_runner.core.storage.system_refusals import storage_error, storage_errors
@@ -69,6 +69,15 @@ def open_package(path: Path) -> Iterator[OpenPackage]:
         raise PackageError("this is neither a regular file nor a folder", where=str(path), fix="Name a package.")
     with ExitStack() as opened:
         yield _zipped(path, _archive(path, opened))
+
+
+def is_package(path: Path) -> bool:
+    """Return whether a file is a package in one file; its content is not verified."""
+    try:
+        with ExitStack() as opened:
+            return DESCRIPTION in _archive(path, opened).namelist()
+    except (PackageError, StorageError):
+        return False
 
 
 def _archive(path: Path, opened: ExitStack) -> zipfile.ZipFile:

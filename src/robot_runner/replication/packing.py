@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shlex
-import zipfile
 from collections.abc import Callable, Collection, Container, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -26,10 +25,11 @@ from robot_runner.core.words import listed
 from robot_runner.replication.about import About, imported_facts, missing_text
 from robot_runner.replication.cleaning import Replaced
 from robot_runner.replication.code_secrets import secrets_in_code
-from robot_runner.replication.contents import DESCRIPTION, LICENCE, Contents, LeftOut, choose_contents, folders_of
+from robot_runner.replication.contents import LICENCE, Contents, LeftOut, choose_contents, folders_of
 from robot_runner.replication.crate import require_rocrate
 from robot_runner.replication.environment import record_environment
 from robot_runner.replication.index_hashes import findings_of_hashes, with_known_hashes
+from robot_runner.replication.opening import is_package
 from robot_runner.replication.plain_zip import LARGEST_DIRECTORY, Progress, directory_size, written_beside
 from robot_runner.replication.redaction import Redactor
 from robot_runner.replication.run_by_run import statuses_that_count
@@ -162,7 +162,7 @@ def _refuse(files: ExperimentFolder, target: Path) -> None:
     if target.is_dir():
         fix = f"Name a file in it: {target / files.root.name}.zip"
         raise PackageError("this is a folder, and a package is a file", where=str(target), fix=fix)
-    if target.exists() and not _is_package(target):
+    if target.exists() and not is_package(target):
         fix = "Name another file, or remove that one."
         raise PackageError("a file of this name exists, and is not a package", where=str(target), fix=fix)
 
@@ -175,14 +175,6 @@ def _refuse_too_many(root: Path, chosen: Contents, run_folders: Container[str]) 
         problem = f"the package would have {len(entries):,} files and folders, more than verify and replicate read"
         fix = "Leave raw data out, --raw none, or name the plugins whose raw data others need, and archive the rest."
         raise PackageError(problem, where=str(root), fix=fix)
-
-
-def _is_package(path: Path) -> bool:
-    try:
-        with zipfile.ZipFile(path) as archive:
-            return DESCRIPTION in archive.namelist()
-    except (OSError, zipfile.BadZipFile):
-        return False
 
 
 def _known_secrets(files: ExperimentFolder, manifest: Mapping[str, Any]) -> set[str]:

@@ -22,7 +22,7 @@ from robot_runner.core.storage.manifest import FORMAT as MANIFEST_FORMAT
 from robot_runner.core.storage.registration import checksum_of
 from robot_runner.core.words import counted, listed
 from robot_runner.replication import contents
-from robot_runner.replication.opening import OpenPackage
+from robot_runner.replication.opening import OpenPackage, is_package
 from robot_runner.replication.plain_zip import Progress
 
 #: The size limit of files that are read as a whole: descriptions and checksums, bytes.
@@ -180,8 +180,12 @@ def _description(package: OpenPackage) -> Mapping[str, Any]:
 def _way_to_a_package(package: OpenPackage) -> str:
     """Return what to do where there is no package: name the one that lies deeper in it, if there is one."""
     sums = f"/{contents.SUMS}"
-    inside = [name.removesuffix(sums) for name in package.sizes if name.endswith((sums, ".zip"))]
     is_folder = package.where.is_dir()
+    inside = [
+        name.removesuffix(sums)
+        for name in package.sizes
+        if name.endswith(sums) or (name.endswith(".zip") and (not is_folder or is_package(package.where / name)))
+    ]
     if not inside or (package.faults and not is_folder):  # such a zip file is not to be unpacked
         return "Name a package; `robot-runner pack` makes one of an experiment's folder."
     nearest = min(inside, key=lambda name: (name.count("/"), name))
