@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
-from tests.core.links.ssh_server import SshServer
+from tests.core.links.ssh_server import SshServer, server_of_own_files
 from tests.measuring.busy_core import wait_for_samples
 
 from robot_runner.core.errors import LinkError
@@ -45,11 +45,8 @@ exec(compile(program, "on board", "exec"), {{"__name__": "__main__"}})
 
 @pytest.fixture(scope="module")
 def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[SshServer]:
-    folder = tmp_path_factory.mktemp("sshd")
-    (folder / "tmp").mkdir()
-    started = SshServer(folder, environment={"TMPDIR": str(folder / "tmp")})
-    yield started
-    started.stop()
+    with server_of_own_files(tmp_path_factory.mktemp("sshd")) as started:
+        yield started
 
 
 @pytest.fixture

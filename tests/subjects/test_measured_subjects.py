@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import pytest
 from tests.conftest import HEAD, written_config
 from tests.core.execution.conftest import Executed, execute_in
-from tests.core.links.ssh_server import SshServer
+from tests.core.links.ssh_server import SshServer, server_of_own_files
 
 from robot_runner.core.config.preparation import prepare
 
@@ -30,11 +30,8 @@ BUSY = ["sh", "-c", "echo up; (setsid sh -c 'while :; do :; done' &); exec sleep
 @pytest.fixture(scope="module")
 def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[SshServer]:
     """Yield a real sshd on loopback whose programs keep their files in a folder of their own: samples are counted."""
-    folder = tmp_path_factory.mktemp("sshd")
-    (folder / "tmp").mkdir()
-    started = SshServer(folder, environment={"TMPDIR": str(folder / "tmp")})
-    yield started
-    started.stop()
+    with server_of_own_files(tmp_path_factory.mktemp("sshd")) as started:
+        yield started
 
 
 @pytest.fixture

@@ -9,7 +9,8 @@ import signal
 import socket
 import subprocess
 import time
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import pytest
@@ -199,3 +200,14 @@ def _name(pid: int) -> str:
         return Path(f"/proc/{pid}/comm").read_text(errors="replace")
     except OSError:
         return ""
+
+
+@contextmanager
+def server_of_own_files(folder: Path) -> Iterator[SshServer]:
+    """Yield a server whose programs keep their files in `folder / "tmp"`, where nobody else has any."""
+    (folder / "tmp").mkdir()
+    started = SshServer(folder, environment={"TMPDIR": str(folder / "tmp")})
+    try:
+        yield started
+    finally:
+        started.stop()
