@@ -35,7 +35,7 @@ def test_everything_that_is_installed_is_asked_and_told(robot_runner: Callable, 
     told = subprocess.run([program, "doctor"], env=environment, capture_output=True, text=True, check=False)
     assert told.stderr == "" or "asked once more" in told.stderr  # on a machine that is very busy
     assert "your shell does not find this one by the name robot-runner" in told.stdout
-    assert f"Say: . {program.replace('robot-runner', 'activate')}" in " ".join(told.stdout.split())
+    assert f"Say: . {Path(program).with_name('activate')}" in " ".join(told.stdout.split())
     answer = robot_runner("doctor", "--json")
     found = {(each["area"], each["name"]): each for each in answer.json["found"]}
     assert {name for area, name in found if area == "Meters"} == {each.name for each in installed_plugins("profilers")}
