@@ -35,7 +35,8 @@ class RobotRunnerConfig(ExperimentConfig):
 
 def test_each_file_of_an_experiment_is_named() -> None:
     folder = ExperimentFolder(Path())
-    names = {path.name for path in (getattr(folder, name) for name in dir(folder)) if isinstance(path, Path)}
+    members = (getattr(folder, name) for name in dir(folder) if not name.startswith("_"))
+    names = {path.name for path in members if isinstance(path, Path)}
     assert {
         name for name in names if name and not re.search(rf"(^  |`){re.escape(name)}[/ `]", PAGE, re.MULTILINE)
     } == set()

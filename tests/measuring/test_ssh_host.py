@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import statistics
 import subprocess
-import sys
 import textwrap
 import time
 from pathlib import Path
@@ -14,6 +13,7 @@ from typing import TYPE_CHECKING
 import pytest
 from tests.core.links.ssh_server import SshServer, server_of_own_files
 from tests.measuring.busy_core import wait_for_samples
+from tests.python_program import first_lines
 
 from robot_runner.core.errors import LinkError
 from robot_runner.core.events.context import SystemClock
@@ -32,8 +32,7 @@ if TYPE_CHECKING:
 AHEAD, DRIFT, STEADY = 120.0, 0.05, 1e6
 
 #: Stands for python3 on the shifted host: the same Python, with clocks that are ahead and fast.
-SHIFTED_PYTHON = f"""\
-#!{sys.executable} -IS
+SHIFTED_PYTHON = f"""{first_lines("-IS")}
 import sys, time
 begun, wall, steady = time.monotonic(), time.time, time.monotonic
 time.time = lambda: wall() + {AHEAD} + (steady() - begun) * {DRIFT}

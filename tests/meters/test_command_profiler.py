@@ -13,6 +13,7 @@ from types import SimpleNamespace
 import pytest
 from tests.meters.rehearsed import InRealTime, problems
 from tests.packaged_inputs import only_in_a_package
+from tests.python_program import first_lines
 
 from robot_runner.core.errors import PluginError
 from robot_runner.core.events.context import SystemClock
@@ -376,7 +377,7 @@ def test_a_program_of_another_user_is_ended_through_sudo(tmp_path, monkeypatch):
     log = tmp_path / "sudo.log"
     sudo = tmp_path / "sudo"
     sudo.write_text(
-        f"#!{sys.executable}\nimport os, signal, sys\n"
+        f"{first_lines()}import os, signal, sys\n"
         f"print(*sys.argv[1:], file=open({str(log)!r}, 'a'))\n"
         "os.kill(int(sys.argv[-1]), getattr(signal, 'SIG' + sys.argv[3][1:]))\n"
     )

@@ -30,8 +30,8 @@ def stand_in(folder: Path) -> str:
     """Return the stand-in as a program on its own."""
     path = folder / "bin" / "energibridge"
     path.parent.mkdir()
-    source = Path(__file__).with_name("energibridge_program.py").read_text(encoding="utf-8")
-    path.write_text(f"#!{sys.executable}\n{source}", encoding="utf-8")
+    source = Path(__file__).with_name("energibridge_program.py")
+    path.write_text(f'#!/bin/sh\nexec "{sys.executable}" "{source}" "$@"\n', encoding="utf-8")
     path.chmod(0o755)
     return str(path)
 

@@ -244,7 +244,7 @@ HYBRID = """\
 def test_an_event_of_a_processor_with_two_kinds_of_cores_is_that_of_both(tmp_path):
     plugin = PerfStat(events=["task-clock", "cycles"], interval_ms=100, program=stand_in(tmp_path, HYBRID))
     plugin.period_s = 0.3
-    assert list(plugin.check(Circumstances())) == []
+    assert [each for each in plugin.check(Circumstances()) if "only root" not in each.problem] == []
     context = make_context(tmp_path, plugin, robot=None, clock=SystemClock())
     rehearse(context, plugin, mission=lambda: time.sleep(0.4))
     ratio = context.measures["Cycles"] / context.measures["TaskClock"]

@@ -6,6 +6,7 @@ import sys
 import pytest
 from tests.meters.fake_sysfs import FakePowercap, write
 from tests.meters.rehearsed import InRealTime
+from tests.python_program import first_lines
 from tests.waiting import wait_until
 
 from robot_runner.core.events.context import SystemClock
@@ -28,8 +29,7 @@ Date,CPU Utilization,Total Power,CPU Power,GPU Power
 """
 
 STAND_IN = """\
-#!{python}
-# Stands in for PowerJoular: writes the recorded rows, a hundred times as fast, until it is interrupted.
+{first_lines}# Stands in for PowerJoular: writes the recorded rows, a hundred times as fast, until it is interrupted.
 import sys, time
 output = sys.argv[sys.argv.index("-f") + 1]
 heading, *rows = {recorded!r}.splitlines()
@@ -45,7 +45,7 @@ except KeyboardInterrupt:
 
 def stand_in(folder, recorded=RECORDED) -> str:
     path = folder / "powerjoular"
-    path.write_text(STAND_IN.format(python=sys.executable, recorded=recorded), encoding="ascii")
+    path.write_text(STAND_IN.format(first_lines=first_lines(), recorded=recorded), encoding="ascii")
     path.chmod(0o755)
     return str(path)
 

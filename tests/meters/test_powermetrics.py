@@ -1,10 +1,10 @@
 from __future__ import annotations
 
 import json
-import sys
 
 import pytest
 from tests.meters.rehearsed import InRealTime
+from tests.python_program import first_lines
 
 from robot_runner.core.errors import PluginError
 from robot_runner.core.events.context import SystemClock
@@ -39,7 +39,7 @@ INTEL = (
 )
 
 STAND_IN = """\
-#!{python}
+{first_lines}
 # Stands in for powermetrics: writes a property list each 100 ms, with a NUL between two, until it is interrupted.
 import sys, time
 output = sys.argv[sys.argv.index("--output-file") + 1]
@@ -56,7 +56,7 @@ with open(output, "w", encoding="ascii") as file:
 
 def stand_in(folder) -> str:
     path = folder / "powermetrics"
-    path.write_text(STAND_IN.format(python=sys.executable, record=APPLE), encoding="ascii")
+    path.write_text(STAND_IN.format(first_lines=first_lines(), record=APPLE), encoding="ascii")
     path.chmod(0o755)
     return str(path)
 

@@ -13,6 +13,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
+from tests.python_program import first_lines
 from tests.replication.small_index import tiny_wheel
 from tests.waiting import wait_until
 
@@ -336,8 +337,7 @@ def test_another_python_installs_by_a_pip_of_its_own_as_ours_may_not_know_it(tmp
 
 #: A program of another environment that counts how often it is asked to stop.
 COUNTING = """\
-#!{python}
-import signal, sys
+{first_lines}import signal, sys
 if "--help" not in sys.argv:
     signal.pthread_sigmask(signal.SIG_BLOCK, {{signal.SIGINT}})
     print("ready", flush=True)
@@ -355,7 +355,7 @@ sys.exit(execute_with(Path(sys.argv[1]), ["replicate"], quietly="--quietly", out
 @pytest.mark.long
 def test_ctrl_c_asks_the_program_of_another_environment_once_and_not_twice_which_would_kill_its_run(tmp_path):
     program = tmp_path / "program"
-    program.write_text(COUNTING.format(python=sys.executable), encoding="utf-8")
+    program.write_text(COUNTING.format(first_lines=first_lines()), encoding="utf-8")
     program.chmod(0o755)
     words = [sys.executable, "-c", EXECUTING, str(program)]
     with subprocess.Popen(words, stdout=subprocess.PIPE, text=True, start_new_session=True) as process:

@@ -206,7 +206,7 @@ def test_what_its_supervisor_needs_is_no_part_of_the_startup_time(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     slow = tmp_path / "python"
-    slow.write_text(f'#!/bin/sh\nsleep 1.5\nexec {sys.executable} "$@"\n')
+    slow.write_text(f'#!/bin/sh\nsleep 1.5\nexec "{sys.executable}" "$@"\n')
     slow.chmod(0o755)
     monkeypatch.setattr("robot_runner.subjects.supervised_program.sys", SimpleNamespace(executable=str(slow)))
     program = Program(["sh", "-c", "sleep 0.2; echo ready; exec sleep 100"], ready="ready")
@@ -283,7 +283,7 @@ def test_what_kills_all_of_a_runs_session_leaves_the_supervisor_that_ends_its_pr
 
 
 def test_what_a_program_has_started_is_ended_where_its_supervisor_was_killed(tmp_path: Path, token: str) -> None:
-    child = f"{sys.executable} -c 'import time; time.sleep(1000)' {token}"
+    child = f"'{sys.executable}' -c 'import time; time.sleep(1000)' {token}"
     program = SupervisedProgram(tmp_path, Task(command=("sh", "-c", f"{child} & wait"), environment={}), name="Planner")
     wait_until(lambda: len(alive(token)) >= 2)
     os.kill(program._supervisor.pid, signal.SIGKILL)
