@@ -262,7 +262,7 @@ def test_an_experiment_whose_process_is_killed_twice_is_begun_again_after_a_rest
     assert robot_runner("queue", "add", config("first", seconds=0)).code == 0
     begun, python = tmp_path / "begun", tmp_path / "python"
     python.write_text(
-        f'#!/bin/sh\necho begun >>{begun}\n[ $(wc -l <{begun}) -gt 2 ] || kill -KILL $$\nexec {sys.executable} "$@"\n'
+        f'#!/bin/sh\necho begun >>{begun}\n[ $(wc -l <{begun}) -gt 2 ] || kill -KILL $$\nexec "{sys.executable}" "$@"\n'
     )
     python.chmod(0o700)
     queue = ExperimentQueue()

@@ -155,7 +155,7 @@ def test_what_needs_rclpy_is_executed_by_the_python_that_has_it_and_nothing_else
 ) -> None:
     write_tests(tmp_path, {"room/test_a.py": FOR_ROS2, "room/test_b.py": PASSES, "hall/test_c.py": PASSES})
     python = tmp_path / "python"
-    python.write_text(f'#!/bin/sh\nHAS_RCLPY=yes exec {sys.executable} "$@"\n')
+    python.write_text(f'#!/bin/sh\nHAS_RCLPY=yes exec "{sys.executable}" "$@"\n')
     python.chmod(0o700)
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("scripts.execute_tests._ROS2_PYTHON", python)

@@ -331,7 +331,7 @@ def test_a_program_that_computes_something_is_the_mission(execute: Callable[...,
 
 
 #: Takes 0.3 s of the processor in a child, and 0.9 s in all at least.
-BURN = f"{sys.executable} -ISc 'import time\nwhile time.process_time() < 0.3: pass'; sleep 0.6"
+BURN = f"'{sys.executable}' -ISc 'import time\nwhile time.process_time() < 0.3: pass'; sleep 0.6"
 
 
 @pytest.mark.long
