@@ -81,7 +81,7 @@ calls = []
 
 def take(frame, event, _):
     if event == "call" and frame.f_code.co_filename.startswith(sys.argv[1]):
-        calls.append(f"{time.monotonic_ns()} {frame.f_code.co_filename} {frame.f_code.co_qualname}")
+        calls.append("\\t".join([str(time.monotonic_ns()), frame.f_code.co_filename, frame.f_code.co_qualname]))
 
 def write():
     sys.setprofile(None)
@@ -124,7 +124,7 @@ def test_one_run_goes_the_way_that_the_page_tells(tmp_path: Path) -> None:
     done = subprocess.run(traced, cwd=tmp_path, capture_output=True, text=True, timeout=100, check=False)
     written = list(tmp_path.glob("calls.*"))
     assert len(written) == 3, done.stderr  # orchestrator, keeper, run
-    calls = sorted(line.split(" ") for each in written for line in each.read_text().splitlines())
+    calls = sorted(line.split("\t") for each in written for line in each.read_text().splitlines())
     floors = _steps()
     assert len(floors) == 10
     for files, names in floors:
