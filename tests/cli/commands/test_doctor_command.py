@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import json
 import os
+import shlex
 import subprocess
 import sys
 import threading
@@ -79,7 +80,7 @@ def test_an_extra_that_is_missing_is_told_with_its_packages(
     monkeypatch.setattr(doctor, "_is_installed", lambda package: package != "mujoco")
     found = {each["name"]: each for each in robot_runner("doctor", "--json").json["found"] if each["area"] == "Extras"}
     assert (found["sim"]["state"], found["sim"]["detail"]) == (ABSENT, "without mujoco")
-    assert found["sim"]["fix"] == f"Install it: {sys.executable} -m pip install 'robot-runner[sim]'"
+    assert found["sim"]["fix"] == f"Install it: {shlex.quote(sys.executable)} -m pip install 'robot-runner[sim]'"
     assert found["psutil"]["state"] == READY
 
 
