@@ -193,7 +193,7 @@ class RobotRunnerConfig(ExperimentConfig):
     results_output_path = HERE / "results"
     claims = ["room:lab"]
     run_process = RunProcess.{process}
-    plugins = [Program(["sh", "-c", "trap '' TERM; echo ready; while :; do sleep 1; done"], per="{per}", ready="ready",
+    plugins = [Program(["sh", "-c", "trap '' TERM; echo ready; exec sleep 600"], per="{per}", ready="ready",
                        grace_s=600)]
 
     def launch_mission(self, context):
