@@ -60,8 +60,7 @@ echo once >>{folder}/reboots
 setsid sh -c '
 sleep 0.2
 old=$(cat {folder}/sshd.pid)
-connections=$(ps -o pid= --ppid $old)
-kill -KILL $(ps -o pid= --ppid "$connections") $connections $old
+kill -KILL $(pgrep -P "$(pgrep -d, -P $old)") $(pgrep -P $old) $old
 sleep 0.5
 {sshd} -D -e -f {folder}/sshd_config </dev/null >>{folder}/sshd.log 2>&1 &
 echo $! >{folder}/sshd.pid
