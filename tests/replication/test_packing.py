@@ -342,6 +342,14 @@ def test_a_file_that_is_no_package_is_not_replaced(copied, tmp_path):
     assert (tmp_path / "notes.zip").read_text(encoding="utf-8") == "mine"
 
 
+def test_a_pipe_is_refused_without_waiting_for_somebody_at_its_other_end(copied, tmp_path):
+    os.mkfifo(tmp_path / "pipe.zip")
+    words = [sys.executable, "-m", "robot_runner", "pack", str(copied), "--to", str(tmp_path / "pipe.zip")]
+    refused = subprocess.run(words, capture_output=True, text=True, check=False, timeout=60)
+    assert refused.returncode == 2
+    assert "a file of this name exists, and is not a package" in refused.stderr
+
+
 def test_a_folder_is_not_taken_for_a_file_to_be_removed(copied, tmp_path):
     (tmp_path / "packages").mkdir()
     with pytest.raises(PackageError, match="is a folder") as refused:

@@ -75,7 +75,7 @@ def is_package(path: Path) -> bool:
     """Return whether a file is a package in one file; its content is not verified."""
     try:
         with ExitStack() as opened:
-            return DESCRIPTION in _archive(path, opened).namelist()
+            return path.is_file() and DESCRIPTION in _archive(path, opened).namelist()
     except (PackageError, StorageError):
         return False
 
