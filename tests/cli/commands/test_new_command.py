@@ -49,7 +49,7 @@ def test_what_an_environment_lacks_to_execute_it_is_told(
     monkeypatch.setitem(sys.modules, "mujoco", None)
     answer = robot_runner("new")
     assert (answer.code, (tmp_path / "experiment.py").exists()) == (0, True)
-    assert "6 runs on the embedded robot; to execute it, this environment lacks:" in answer.out
+    assert "6 runs on the embedded robot. It cannot be executed here yet:" in answer.out
     assert "pip install 'robot-runner[sim]'" in answer.err
 
 

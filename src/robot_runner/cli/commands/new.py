@@ -55,7 +55,7 @@ def execute(arguments: Namespace) -> int:
     with quiet_loading():
         missing = [finding for finding in prepare(path).findings if finding.is_error]
     console = output()
-    readiness = "; to execute it, this environment lacks:" if missing else ", ready to be executed."
+    readiness = ". It cannot be executed here yet:" if missing else ", ready to be executed."
     console.tell(f"{name} is written: 6 runs on the embedded robot{readiness}")
     show_findings(missing)
     print_facts(

@@ -149,7 +149,7 @@ def _closing_left_open() -> Iterator[None]:
         found = [*_findings_of(ended_by)] if isinstance(ended_by, Exception) else []
         for each in _findings_of(error):
             problem = f"what a callback of the experiment left open cannot be closed: {each.problem}"
-            fix = each.fix or "See that the robot stands still, if it was one. The results are whole."
+            fix = each.fix or "If it is the link to a robot, see that it stands still. The results are whole."
             found.append(Finding.error(each.where or "experiment", problem, fix))
         raise ExecutionError.of_findings(found) from error
 
