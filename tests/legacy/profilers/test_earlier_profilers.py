@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 import pytest
 from tests.legacy.earlier_configs import ROBOT, RUNNER, problems
 from tests.meters.test_watts_up_pro import PtyMeter
+from tests.waiting import PATIENCE
 
 from robot_runner.core.config.preparation import prepare
 from robot_runner.core.errors import LinkError, PluginError
@@ -23,7 +24,7 @@ from robot_runner.core.execution.resumption import Resumption
 from robot_runner.core.links.kinds import FoundRobot
 from robot_runner.core.plugin import Circumstances
 from robot_runner.core.storage.table_schema import read_schema
-from robot_runner.legacy.profilers import pico
+from robot_runner.legacy.profilers import pico, programs
 from robot_runner.legacy.profilers.command_line import EnergiBridge, PowerJoular, PowerLetrics, PowerMetrics, Ps
 from robot_runner.legacy.profilers.data_source import DeviceSource, ParameterDict
 from robot_runner.legacy.profilers.nvidia import (
@@ -43,6 +44,7 @@ if TYPE_CHECKING:
 
     from tests.legacy.earlier_configs import Executed
 
+#: Its log is there once it heeds a request to stop.
 ENERGIBRIDGE = """\
 summary=; output=/dev/stdout
 while [ "$1" != -- ]; do
@@ -50,10 +52,10 @@ while [ "$1" != -- ]; do
     shift
 done
 shift
-printf 'Delta,Time,PACKAGE_ENERGY (J),USED_MEMORY\\n200,1000,10.0,7\\n200,3000,15.5,9\\n' > "$output"
 say() { [ -z "$summary" ] || echo "Energy consumption in joules: 5.5 for 2.0 sec of execution."; exit 0; }
 "$@" & child=$!
 trap 'kill $child; say' TERM
+printf 'Delta,Time,PACKAGE_ENERGY (J),USED_MEMORY\\n200,1000,10.0,7\\n200,3000,15.5,9\\n' > "$output"
 wait $child
 say
 """
@@ -221,7 +223,10 @@ def test_a_program_that_is_not_there_is_named() -> None:
         PowerJoular()
 
 
-def test_a_program_that_fails_at_once_says_why(program: Callable[[str, str], Path], tmp_path: Path) -> None:
+def test_a_program_that_fails_at_once_says_why(
+    program: Callable[[str, str], Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(programs, "_STARTING_S", PATIENCE)  # a busy machine takes longer than usual to start it
     program("powerjoular", "echo 'no RAPL here' >&2; exit 3\n")
     with pytest.raises(LinkError, match="ended at once with exit code 3: no RAPL here"):
         PowerJoular(out_file=tmp_path / "x.csv").start()
@@ -471,15 +476,23 @@ def test_packets_between_two_addresses_are_captured(program: Callable[[str, str]
     assert asked == f"-q -i lo -f host 10.0.0.1 and host 10.0.0.2 -w {tmp_path}/dump.pcap"
 
 
+UNTIL_IT_MEASURES = """
+def interact(self, context):
+    log, deadline = context.run_dir / "eb.csv", time.monotonic() + 60
+    while not (log.is_file() and log.read_text()) and time.monotonic() < deadline:
+        time.sleep(0.01)
+"""
+
+
 def test_self_measure_fills_its_column(
     config: Callable[..., Path], execute: Callable[..., Executed], program: Callable[[str, str], Path]
 ) -> None:
     binary = program("energibridge", ENERGIBRIDGE)
     head = (
-        RUNNER
+        RUNNER.replace("from pathlib", "import time\nfrom pathlib")
         + f"    self_measure = True\n    self_measure_bin = {str(binary)!r}\n    self_measure_logfile = 'eb.csv'\n"
     )
-    executed = execute(config(head=head), Resumption(only=("run_0_repetition_0",)))
+    executed = execute(config(UNTIL_IT_MEASURES, head=head), Resumption(only=("run_0_repetition_0",)))
     assert executed.text.splitlines()[:2] == [
         "__run_id,__done,size,language,seconds,self-measure",
         "run_0_repetition_0,DONE,10,c,,5.5",
@@ -501,10 +514,13 @@ def start_run(self, context):
     self.meter = WattsUpPro({port!r})
 
 def interact(self, context):
-    self.meter.log(0.2)
+    log, deadline = context.run_dir / "watts.log", time.monotonic() + 60
+    while not self.meter.power and time.monotonic() < deadline:
+        self.meter.log(0.2)
     time.sleep(0.2)
-    self.begun = datetime.now()
-    self.meter.log(0.2, context.run_dir / "watts.log")
+    while not (log.exists() and log.read_text()) and time.monotonic() < deadline:
+        self.begun = datetime.now()
+        self.meter.log(0.2, log)
 
 def populate_run_data(self, context):
     (context.run_dir / "begun").write_text(str(self.begun))
