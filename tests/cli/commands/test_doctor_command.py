@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 from tests.linked_environment import make_linked_environment
+from tests.waiting import PATIENCE
 
 import robot_runner as robot_runner_package
 from robot_runner.cli.commands import doctor
@@ -23,11 +24,46 @@ from robot_runner.core.storage.claim_locks import HeldClaims
 from robot_runner.core.storage.layout import ExperimentFolder
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
 
+    Answer = tuple[str, str, str]
 
 #: What the core needs, and what that needs.
 CORE = ("rich", "markdown-it-py", "mdurl", "pygments")
+
+
+class PatientClock:
+    """A clock that stands still until some questions were answered: they are in time, however busy this machine is."""
+
+    def __init__(self, count: int) -> None:
+        self._begun, self._count = time.monotonic(), count
+        self._answering: list[threading.Thread] = []
+        self._since: float | None = None
+
+    def awaiting(self, answer: Callable[[], Answer]) -> Callable[[], Answer]:
+        """Return a question that is one of those."""
+
+        def ask() -> Answer:
+            self._answering.append(threading.current_thread())
+            return answer()
+
+        return ask
+
+    def monotonic(self) -> float:
+        now = time.monotonic()
+        if self._since is None and sum(not each.is_alive() for each in self._answering) == self._count:
+            self._since = now
+        return self._begun if self._since is None else self._begun + now - self._since
+
+
+@pytest.fixture
+def over() -> Iterator[threading.Event]:
+    """Return what ends those that hang; none of their threads is left to a test that forks this process."""
+    before, event = set(threading.enumerate()), threading.Event()
+    yield event
+    event.set()
+    for each in set(threading.enumerate()) - before:
+        each.join(PATIENCE)
 
 
 @pytest.mark.long
@@ -99,21 +135,22 @@ def test_a_device_of_another_group_is_broken_with_the_group_to_join(
     assert (camera.state, camera.detail) == (ABSENT, "none is connected")
 
 
-def test_what_hangs_or_raises_is_broken_and_the_others_are_told_at_once() -> None:
-    over = threading.Event()
+def test_what_hangs_or_raises_is_broken_and_the_others_are_told_at_once(
+    monkeypatch: pytest.MonkeyPatch, over: threading.Event
+) -> None:
+    clock, began = PatientClock(2), time.monotonic()
+    monkeypatch.setattr(doctor, "time", clock)
 
     def raising() -> Any:
         raise ZeroDivisionError("division")
 
     wanted = [
         Question("Meters", "Hanging", lambda: (READY, str(over.wait(60)), "")),
-        Question("Meters", "Raising", raising),
-        Question("Meters", "Well", lambda: (READY, "", "")),
+        Question("Meters", "Raising", clock.awaiting(raising)),
+        Question("Meters", "Well", clock.awaiting(lambda: (READY, "", ""))),
     ]
-    began = time.monotonic()
     hanging, broken, well = asked(wanted, deadlines_s=(0.5, 0.1))
     assert time.monotonic() - began < 10.0
-    over.set()
     assert hanging.state == BROKEN
     assert hanging.detail.startswith("no answer came within 0.5 s, nor in 0.1 s more")
     assert (broken.state, broken.detail) == (BROKEN, "ZeroDivisionError: division")
@@ -122,9 +159,10 @@ def test_what_hangs_or_raises_is_broken_and_the_others_are_told_at_once() -> Non
 
 @pytest.mark.parametrize("answers_again", [True, False])
 def test_what_is_slow_is_asked_once_more_and_given_more_time(
-    monkeypatch: pytest.MonkeyPatch, *, answers_again: bool
+    monkeypatch: pytest.MonkeyPatch, over: threading.Event, *, answers_again: bool
 ) -> None:
-    asked_again, told = threading.Event(), []
+    asked_again, told, clock = threading.Event(), [], PatientClock(1)
+    monkeypatch.setattr(doctor, "time", clock)
     monkeypatch.setattr(os, "getloadavg", lambda: (9.25, 5.0, 1.0))
     monkeypatch.setattr(os, "cpu_count", lambda: 2)
 
@@ -132,11 +170,11 @@ def test_what_is_slow_is_asked_once_more_and_given_more_time(
         """Answer at once where it is asked again, or when it is: whichever comes first counts."""
         if told:
             asked_again.set()
-            return (READY, "at last", "") if answers_again else (READY, str(threading.Event().wait(60)), "")
+            return (READY, "at last", "") if answers_again else (READY, str(over.wait(60)), "")
         asked_again.wait(60)
-        return (READY, "at last", "") if not answers_again else (READY, str(threading.Event().wait(60)), "")
+        return (READY, "at last", "") if not answers_again else (READY, str(over.wait(60)), "")
 
-    wanted = [Question("Links", "ros2", slow), Question("Links", "simulated", lambda: (READY, "", ""))]
+    wanted = [Question("Links", "ros2", slow), Question("Links", "simulated", clock.awaiting(lambda: (READY, "", "")))]
     ros2, simulated = asked(wanted, deadlines_s=(0.2, 60.0), tell=told.append)
     assert (ros2.state, ros2.detail) == (READY, "at last")
     assert simulated.state == READY
@@ -144,13 +182,13 @@ def test_what_is_slow_is_asked_once_more_and_given_more_time(
     assert told == [f"ros2 did not answer within 0.2 s {busy}: asked once more, for 60 s at most"]
 
 
-def test_what_stays_silent_on_a_busy_machine_says_that_it_is_busy(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_stays_silent_on_a_busy_machine_says_that_it_is_busy(
+    monkeypatch: pytest.MonkeyPatch, over: threading.Event
+) -> None:
     monkeypatch.setattr(os, "getloadavg", lambda: (9.25, 5.0, 1.0))
     monkeypatch.setattr(os, "cpu_count", lambda: 2)
-    over = threading.Event()
     wanted = [Question("Links", "ros2", lambda: (READY, str(over.wait(60)), ""))]
     [silent] = asked(wanted, deadlines_s=(0.1, 0.1))
-    over.set()
     assert silent.state == BROKEN
     assert silent.detail.endswith("nor in 0.1 s more (this machine is busy: load 9.2 on 2 cores)")
     assert silent.fix == "Ask again once the machine is less busy. See whether its driver or daemon hangs."
