@@ -45,7 +45,8 @@ class Handler(BaseHTTPRequestHandler):
         is_ready = self.path == "/up" or (self.path != "/down" and time.monotonic() - self.began > 0.6)
         self.send_response(200 if is_ready else 503)
         self.end_headers()
-        self.wfile.write(b"state: ready" if is_ready else b"state: starting")
+        with suppress(OSError):  # whoever asked for what is slow has left
+            self.wfile.write(b"state: ready" if is_ready else b"state: starting")
 
     def stream(self) -> None:
         self.send_response(200)
