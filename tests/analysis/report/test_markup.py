@@ -150,6 +150,19 @@ def test_of_a_table_in_latex_that_is_wider_than_a_page_cells_have_lines_and_othe
     assert "x; y & x; y" in latex_of(narrow, latex_label)
 
 
+def test_a_table_in_latex_that_is_longer_than_a_page_is_several_of_one_number():
+    rows = tuple((Cell.of_text(f"r{n}"),) for n in range(71))
+    written = latex_of(Table("t", "Runs.", (Column("a"),), rows), latex_label)
+    parts = written.split(r"\end{table}")[:-1]
+    assert [re.findall(r"caption\{(.*)\}", part) for part in parts] == [[f"Runs. ({n} of 3)"] for n in (1, 2, 3)]
+    assert [r"\addtocounter{table}{-1}" in part for part in parts] == [False, True, True]
+    assert written.count(r"\label{tab:t}") == 1
+    assert re.findall(r"^    (r\d+)", written, re.MULTILINE) == [row[0].text for row in rows]
+    whole = latex_of(Table("t", "Runs.", (Column("a"),), rows[:35]), latex_label)
+    assert whole.count(r"\begin{table}") == 1
+    assert "(1 of" not in whole
+
+
 def test_units_in_captions_in_latex_keep_their_case_where_captions_are_small_capitals():
     written = latex_of(Table("t", "Power (mW) by Task_1: means.", (Column("a"),), ()), latex_label)
     assert r"\caption{Power \textnormal{(mW)} by Task\_1: means.}" in written

@@ -14,7 +14,7 @@ import json
 import re
 import tarfile
 import textwrap
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, lru_cache, partial
 from importlib.resources import files
@@ -39,6 +39,10 @@ _MOST_ROWS = 400
 _COLUMN_OF_A_PAPER, _GAP = 50, 2
 #: Letters that fit on a page of a paper, and the letters of a line in a cell of a table that is wider than that.
 _PAGE_OF_A_PAPER, _LINE_OF_A_CELL = 105, 36
+#: Lines of rows that fit on a page of LaTeX's own classes, which have 43 at 10 points, with caption, heads and note.
+_LINES_OF_A_PAGE = 35
+#: What ends a line of a cell; no text has it, as its backslashes are escaped.
+_END_OF_LINE = r" \\ "
 #: An interval, which is kept on one line of a cell, and the temporary replacement of its blanks.
 _INTERVAL, _UNBROKEN = re.compile(r"\[[^\[\]]*\]"), "\N{NO-BREAK SPACE}"
 #: Invisible characters that are kept on a page: line breaks, and joiners of letters and of parts of a character.
@@ -210,7 +214,8 @@ def latex_of(table: Table, labels: Callable[[str], str]) -> str:
     """Return a table as LaTeX, for `booktabs` and `graphicx`, with numbers as readers see them.
 
     A table that is too wide for a column of a paper spans the page. If it is too wide for the page, long cells are
-    broken into lines, and a table that is still too wide is scaled down. `labels` returns its label for references.
+    broken into lines, and a table that is still too wide is scaled down. One that is longer than a page is several with
+    one number, as LaTeX prints no float beyond the end of its page. `labels` returns its label for references.
     """
     table = table.for_readers
     names = [column.name for column in table.columns]
@@ -218,27 +223,45 @@ def latex_of(table: Table, labels: Callable[[str], str]) -> str:
     width = sum(max(map(len, column)) + _GAP for column in zip(names, *rows, strict=True))
     star = "*" * (width > _COLUMN_OF_A_PAPER)
     cell_text = _in_lines if width > _PAGE_OF_A_PAPER else latex_text
+    pages = _pages_of([[cell_text(cell) for cell in row] for row in rows])
     # IEEE's captions are in small capitals, which would print mW as MW.
     caption = re.sub(r"\([^()]*\)", r"\\textnormal{\g<0>}", latex_text(table.caption))
     note = rf"\parbox{{\linewidth}}{{\centering\footnotesize {latex_text(table.note)}}}"
-    lines = (
-        r"% needs \usepackage{booktabs,graphicx} and UTF-8",
-        rf"\begin{{table{star}}}",
-        r"  \centering",
-        rf"  \caption{{{caption}}}",
-        rf"  \label{{tab:{labels(table.name)}}}",
-        r"  \resizebox{\ifdim\width>\linewidth\linewidth\else\width\fi}{!}{%",
-        rf"  \begin{{tabular}}{{{''.join('r' if column.is_number else 'l' for column in table.columns)}}}",
-        r"    \toprule",
-        rf"    {' & '.join(map(latex_text, names))} \\",
-        r"    \midrule",
-        *(rf"    {' & '.join(map(cell_text, row))} \\" for row in rows),
-        r"    \bottomrule",
-        r"  \end{tabular}}",
-        *((r"  \par\smallskip", f"  {note}") if table.note else ()),
-        rf"\end{{table{star}}}",
-    )
+    lines = [r"% needs \usepackage{booktabs,graphicx} and UTF-8"]
+    for number, page in enumerate(pages, 1):
+        which = f" ({number} of {len(pages)})" if len(pages) > 1 else ""
+        lines += (
+            rf"\begin{{table{star}}}",
+            *((r"  \addtocounter{table}{-1}",) if number > 1 else ()),
+            r"  \centering",
+            rf"  \caption{{{caption}{which}}}",
+            *((rf"  \label{{tab:{labels(table.name)}}}",) if number == 1 else ()),
+            r"  \resizebox{\ifdim\width>\linewidth\linewidth\else\width\fi}{!}{%",
+            rf"  \begin{{tabular}}{{{''.join('r' if column.is_number else 'l' for column in table.columns)}}}",
+            r"    \toprule",
+            rf"    {' & '.join(map(latex_text, names))} \\",
+            r"    \midrule",
+            *(rf"    {' & '.join(row)} \\" for row in page),
+            r"    \bottomrule",
+            r"  \end{tabular}}",
+            *((r"  \par\smallskip", f"  {note}") if table.note else ()),
+            rf"\end{{table{star}}}",
+        )
     return "\n".join(lines) + "\n"
+
+
+def _pages_of(rows: Iterable[Sequence[str]]) -> list[list[Sequence[str]]]:
+    """Return rows, whose cells may have several lines, page by page; of no rows, one page."""
+    pages: list[list[Sequence[str]]] = [[]]
+    used = 0
+    for row in rows:
+        lines = 1 + max((cell.count(_END_OF_LINE) for cell in row), default=0)
+        if used + lines > _LINES_OF_A_PAGE and pages[-1]:
+            pages.append([])
+            used = 0
+        pages[-1].append(row)
+        used += lines
+    return pages
 
 
 @lru_cache(_REMEMBERED)
@@ -249,7 +272,7 @@ def _in_lines(text: str) -> str:
     parts[:-1] = [f"{each};" for each in parts[:-1]]
     folded = (textwrap.wrap(part, _LINE_OF_A_CELL, break_long_words=False) or [part] for part in parts)
     lines = [latex_text(line.replace(_UNBROKEN, " ")) for line in chain.from_iterable(folded)]
-    written = r" \\ ".join(lines)
+    written = _END_OF_LINE.join(lines)
     return r"\begin{tabular}[t]{@{}l@{}}" + written + r"\end{tabular}" if len(lines) > 1 else written
 
 
