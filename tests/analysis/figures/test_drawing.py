@@ -222,12 +222,28 @@ def test_a_timeline_of_thousands_of_runs_has_few_artists():
 def test_names_of_outliers_do_not_hide_each_other():
     values = (*np.linspace(0, 1, 20), 9.0, 9.01, 9.02, -8.0)
     group = Group("T", values, tuple(f"r_{n}" for n in range(24)))
-    for count in (1, 12):
+    for count, names in ((1, ["r_23", "r_22"]), (4, ["r_23"] * 4 + ["r_22"] * 2)):
         figure = draw_distribution(
             [group] * count, value_label=LABEL, group_label="Task", outliers=frozenset(group.run_ids[20:])
         )
-        named = {text.get_text() for text in figure.axes[0].texts}
-        assert named == {"r_23", "r_20"}
+        assert [text.get_text() for text in figure.axes[0].texts] == names
+
+
+def test_of_many_outliers_the_farthest_from_their_medians_are_named_whatever_their_group():
+    far = [(1, 90.0), (3, 60.0), (0, 50.0), (2, 40.0), (3, -30.0), (1, 30.0), (0, 25.0), (0, -20.0)]
+    groups = [
+        Group(
+            f"t{number}",
+            tuple([float(value % 3) for value in range(20)] + [value for group, value in far if group == number]),
+            tuple(
+                [f"r_{number}_{run}" for run in range(20)] + [f"{value:g}" for group, value in far if group == number]
+            ),
+        )
+        for number in range(4)
+    ]
+    outliers = frozenset(f"{value:g}" for _, value in far)
+    figure = draw_distribution(groups, value_label=LABEL, group_label="Task", outliers=outliers)
+    assert [note.get_text() for note in figure.axes[0].texts] == ["90", "60", "50", "40", "-30", "30"]
 
 
 def test_names_of_outliers_stand_beside_the_numbers_of_the_axis_and_not_on_them():

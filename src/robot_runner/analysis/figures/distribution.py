@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
@@ -205,23 +204,27 @@ def _name_outliers(axes: Axes, groups: Sequence[Group], outliers: frozenset[str]
         return
     everything = [value for group in groups for value in group.values]
     apart = (_APART_UPRIGHT if is_upright else _APART_ALONG) * (max(everything) - min(everything))
-    named = 0
     # Left of the first group are the numbers of the axis.
     is_left = 4 + _LETTER * max(map(len, outliers)) < _AXES * 0.6 / len(groups)
+    found = []
     for place, group in enumerate(groups):
-        last = -math.inf
-        for value, run_id in sorted(zip(group.values, group.run_ids, strict=True)):
-            if run_id in outliers and named < _MOST_NAMED_OUTLIERS and value - last >= apart:
-                named, last = named + 1, value
-                axes.annotate(
-                    verbatim(run_id),
-                    _turned(place, value, is_upright),
-                    xytext=(-4 if is_left else 4, 0) if is_upright else (0, 4),
-                    textcoords="offset points",
-                    fontsize=_NAME_SIZE,
-                    ha=("right" if is_left else "left") if is_upright else "center",
-                    va="center" if is_upright else "bottom",
-                )
+        middle = np.median(group.values) if group.size else 0.0
+        each_run = zip(group.values, group.run_ids, strict=True)
+        found += [(-abs(value - middle), place, value, run_id) for value, run_id in each_run if run_id in outliers]
+    named: list[tuple[int, float]] = []
+    for _, place, value, run_id in sorted(found):  # the farthest from their medians first
+        is_free = all(place != other or abs(value - at) >= apart for other, at in named)
+        if is_free and len(named) < _MOST_NAMED_OUTLIERS:
+            named.append((place, value))
+            axes.annotate(
+                verbatim(run_id),
+                _turned(place, value, is_upright),
+                xytext=(-4 if is_left else 4, 0) if is_upright else (0, 4),
+                textcoords="offset points",
+                fontsize=_NAME_SIZE,
+                ha=("right" if is_left else "left") if is_upright else "center",
+                va="center" if is_upright else "bottom",
+            )
 
 
 @figure_style()
