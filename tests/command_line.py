@@ -109,12 +109,12 @@ class Terminal:
     def wait_for(self, pattern: str) -> None:
         self.child.expect(pattern)
 
-    def wait_until_shown(self, *parts: str) -> None:
-        """Wait until all of this is on the screen at the same time: it may be drawn anew at any moment."""
+    def wait_until_shown(self, *parts: str, times: int = 1) -> None:
+        """Wait until all of this is on the screen at the same time, so often: it may be drawn anew at any moment."""
         deadline = time.monotonic() + PATIENCE
-        while not all(part in self.text for part in parts):
+        while any(self.text.count(part) < times for part in parts):
             assert time.monotonic() < deadline, f"{parts} never stood together on\n{self.text}"  # it is drawn all along
-            self.child.expect(r"[\s\S]")
+            self.child.expect(r"[\s\S]+")  # all of it: who reads more slowly than is written holds the program up
 
     def finish(self) -> int:
         self.child.expect(pexpect.EOF)
