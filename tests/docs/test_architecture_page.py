@@ -81,7 +81,7 @@ calls = []
 
 def take(frame, event, _):
     if event == "call" and frame.f_code.co_filename.startswith(sys.argv[1]):
-        calls.append("\\t".join([str(time.monotonic_ns()), frame.f_code.co_filename, frame.f_code.co_qualname]))
+        calls.append("\\t".join([f"{time.monotonic_ns():020}", frame.f_code.co_filename, frame.f_code.co_qualname]))
 
 def write():
     sys.setprofile(None)
