@@ -341,8 +341,10 @@ COUNTING = """\
 if "--help" not in sys.argv:
     signal.pthread_sigmask(signal.SIG_BLOCK, {{signal.SIGINT}})
     print("ready", flush=True)
-    while signal.sigtimedwait({{signal.SIGINT}}, 1.5) is not None:
+    patience_s = 60.0
+    while signal.sigtimedwait({{signal.SIGINT}}, patience_s) is not None:
         print("asked", flush=True)
+        patience_s = 1.5
 """
 EXECUTING = """\
 import sys
@@ -371,8 +373,8 @@ def test_ctrl_c_asks_the_program_of_another_environment_once_and_not_twice_which
 def test_the_program_of_another_environment_closes_its_run_where_who_started_it_is_killed(tmp_path):
     program, told = tmp_path / "robot-runner", tmp_path / "told"
     program.write_text(
-        f"#!/bin/sh\n[ $2 = --help ] && exit\ntrap 'echo closed >{told}; exit' TERM\n"
-        f"touch {told}.begun\nwhile :; do sleep 0.05; done\n"
+        f"#!/bin/sh\n[ $2 = --help ] && exit\ntrap 'echo closed >\"{told}\"; exit' TERM\n"
+        f'touch "{told}.begun"\nwhile :; do sleep 0.05; done\n'
     )
     program.chmod(0o755)
     name = virtual_environments.__name__
