@@ -19,8 +19,9 @@ _SETTINGS = ("PIP_FIND_LINKS", "PIP_EXTRA_INDEX_URL", "PIP_NO_INDEX", "PIP_CERT"
 
 def pip_settings(index: str) -> dict[str, str | None]:
     """Return the variables that make pip ask this index only, whatever its settings here are; None is not there."""
-    own = {"PIP_INDEX_URL": index, "PIP_CONFIG_FILE": "/dev/null", "PIP_NO_CACHE_DIR": "1", "NO_PROXY": "127.0.0.1"}
-    return {**dict.fromkeys(_SETTINGS), **own}
+    own = {"PIP_INDEX_URL": index, "PIP_CONFIG_FILE": "/dev/null", "PIP_NO_CACHE_DIR": "1"}
+    # Of two spellings, the small one counts where somebody has set it.
+    return {**dict.fromkeys(_SETTINGS), **own, **dict.fromkeys(("NO_PROXY", "no_proxy"), "127.0.0.1")}
 
 
 def tiny_wheel(
