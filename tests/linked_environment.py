@@ -11,11 +11,12 @@ from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from tests.python_program import first_lines
+
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
 PROGRAM = """\
-#!{python}
 import sys
 
 from robot_runner.cli.main import main
@@ -49,7 +50,7 @@ def make_linked_environment(folder: Path, names: Iterable[str], *, code: Path) -
     path_file.unlink()
     path_file.write_text(f"{code}\n", encoding="utf-8")
     program = folder / "bin" / "robot-runner"
-    program.write_text(PROGRAM.format(python=folder / "bin" / "python"), encoding="utf-8")
+    program.write_text(first_lines(python=folder / "bin" / "python") + PROGRAM, encoding="utf-8")
     program.chmod(0o755)
     return program
 

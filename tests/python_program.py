@@ -5,9 +5,9 @@ from __future__ import annotations
 import sys
 
 
-def first_lines(options: str = "") -> str:
+def first_lines(options: str = "", *, python: object = sys.executable) -> str:
     """Return them: a shell replaces itself by Python, to which they are a text.
 
     After `#!` alone, the path of Python may have no space, and 127 characters at most.
     """
-    return f"#!/bin/sh\n'''exec' \"{sys.executable}\" {options} \"$0\" \"$@\"\n' '''\n"
+    return f"#!/bin/sh\n'''exec' \"{python}\" {options} \"$0\" \"$@\"\n' '''\n"

@@ -19,10 +19,13 @@ def clone(tmp_path):
     """A copy of the tree, with an environment in which is what `make demo` installs, and nothing else."""
     folder = tmp_path / "clone"
     for name in ("Makefile", "README.md", "pyproject.toml", "requirements", "scripts", "src"):
-        source = ROOT / name
-        copy = shutil.copytree if source.is_dir() else shutil.copyfile
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
-        copy(source, folder / name)  # with the bytecode of the modules, which each command would compile anew otherwise
+        if (ROOT / name).is_dir():
+            # With the bytecode of the modules, which each command would compile anew otherwise, but for that which
+            # another process is writing now.
+            shutil.copytree(ROOT / name, folder / name, ignore=shutil.ignore_patterns("*.pyc.*"))
+        else:
+            shutil.copyfile(ROOT / name, folder / name)
     make_linked_environment(folder / ".venv", locked_names(folder / "requirements" / "demo.txt"), code=folder / "src")
     stamp = 'printf "%s\\n" "$(pwd -P) $(cat pyproject.toml requirements/*.txt | cksum)" >.venv/.installed-demo'
     subprocess.run(["sh", "-c", stamp], cwd=folder, check=True, timeout=60)
