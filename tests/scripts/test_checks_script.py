@@ -45,7 +45,7 @@ def _write_tool(clone: Path, tool: str, script: str) -> None:
 
 def _checks(clone: Path, which: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
-        ["sh", "scripts/checks.sh", which], cwd=clone, capture_output=True, text=True, timeout=60, check=False
+        ["sh", "scripts/checks.sh", which], cwd=clone, capture_output=True, text=True, timeout=120, check=False
     )
 
 
@@ -64,7 +64,7 @@ def test_the_quick_checks_execute_no_tests(clone: Path) -> None:
 
 
 def test_types_are_checked_while_the_tests_are_executed(clone: Path) -> None:
-    wait = "for _ in $(seq 200); do [ -e {other} ] && echo 1 passed && exit 0; sleep 0.05; done; exit 1"
+    wait = "for _ in $(seq 1200); do [ -e {other} ] && echo 1 passed && exit 0; sleep 0.05; done; exit 1"
     for tool, other in (("pytest", "mypy"), ("mypy", "pytest")):
         _write_tool(clone, tool, f"touch begun-{tool}; {wait.format(other=f'begun-{other}')}")
     answer = _checks(clone, "all")

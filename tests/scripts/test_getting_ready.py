@@ -18,14 +18,14 @@ def _make(folder: Path, **scripts: str) -> tuple[int, list[str]]:
     for name in ("system_packages", "set_up", "debian_ros", "checks"):
         script = scripts.get(name, f"echo {name} >>noted")
         (folder / "scripts" / f"{name}.sh").write_text(f"{script}\n", encoding="utf-8")
-    made = subprocess.run(["make", "test"], cwd=folder, stdin=subprocess.DEVNULL, timeout=60, check=False)
+    made = subprocess.run(["make", "test"], cwd=folder, stdin=subprocess.DEVNULL, timeout=120, check=False)
     noted = folder / "noted"
     return made.returncode, noted.read_text(encoding="utf-8").splitlines() if noted.exists() else []
 
 
 def test_both_are_installed_at_once_and_the_checks_come_after_both(tmp_path: Path) -> None:
     # Each waits for the other: one after the other, they would come to no end.
-    meeting = "touch {own}; i=0; until [ -e {other} ] || [ $i -ge 500 ]; do sleep 0.02; i=$((i + 1)); done\n"
+    meeting = "touch {own}; i=0; until [ -e {other} ] || [ $i -ge 3000 ]; do sleep 0.02; i=$((i + 1)); done\n"
     status, noted = _make(
         tmp_path,
         system_packages=meeting.format(own="a", other="b") + "[ -e b ] && echo installed >>noted",
