@@ -461,7 +461,7 @@ def test_a_card_that_still_holds_the_file_of_another_run_is_noticed(
 
 
 def test_packets_between_two_addresses_are_captured(program: Callable[[str, str], Path], tmp_path: Path) -> None:
-    program("tshark", f'echo "$@" > {tmp_path}/asked\nexec sleep 60\n')
+    program("tshark", f'echo "$@" > "{tmp_path}/asked"\nexec sleep 60\n')
     meter = NetworkProfiler()
     meter.start_sniffing_to_file_between_robot_and_remotepc(
         context=SimpleNamespace(run_dir=tmp_path),
