@@ -103,8 +103,11 @@ def test_a_file_system_whose_files_all_have_the_same_permissions_is_no_fault(
 
 _STRANGER = """
 import fcntl, os, sys, time
-while os.path.exists(sys.argv[1]):
-    file = os.open(sys.argv[1], os.O_RDONLY)
+while True:
+    try:
+        file = os.open(sys.argv[1], os.O_RDONLY)
+    except FileNotFoundError:
+        break
     try:
         fcntl.lockf(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
         time.sleep(0.002)
