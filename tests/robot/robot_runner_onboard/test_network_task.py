@@ -5,9 +5,11 @@ from __future__ import annotations
 import http.server
 import threading
 from contextlib import contextmanager
+from types import SimpleNamespace
 from typing import TYPE_CHECKING
 
 import pytest
+from robot_runner_onboard import network
 from robot_runner_onboard.errors import TaskError
 from robot_runner_onboard.network import request
 
@@ -110,11 +112,12 @@ def test_a_resource_that_ends_too_soon_is_a_failure(monkeypatch: pytest.MonkeyPa
         request(Orders(9), address(server), 0.0)
 
 
-def test_the_rate_is_kept_on_a_schedule() -> None:
-    orders = Orders(3)
+def test_the_rate_is_kept_on_a_schedule(monkeypatch: pytest.MonkeyPatch) -> None:
+    orders, clock = Orders(3), SimpleNamespace(monotonic=lambda: 7.0)  # however long requests take, nobody sleeps
     with page_server() as server:
+        monkeypatch.setattr(network, "time", clock)
         request(orders, address(server), 2.0)
-    assert [round(wait * 2) for wait in orders.waits] == [1, 2, 3, 4]  # nobody slept: each is due later
+    assert orders.waits == [0.5, 1.0, 1.5, 2.0]  # each is due later
 
 
 def test_a_request_that_fails_now_and_then_is_counted() -> None:
