@@ -245,11 +245,7 @@ def test_a_node_that_is_ended_ends_its_task(master_uri, tmp_path, alice):
 
 
 def children(pid):
-    return [
-        int(entry.name)
-        for entry in Path("/proc").glob("[0-9]*")
-        if entry.exists() and f" {pid} " in _stat(entry) and _stat(entry).split()[1] == str(pid)
-    ]
+    return [int(entry.name) for entry in Path("/proc").glob("[0-9]*") if _stat(entry).split()[1:2] == [str(pid)]]
 
 
 def _stat(entry):
