@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 import pexpect
 import pytest
+from tests.waiting import PATIENCE
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -34,7 +35,9 @@ def shell(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[pexpect.sp
     path = f"{BIN}:{os.environ['PATH']}"
     settings = {"PATH": path, "HOME": str(tmp_path), "TERM": "dumb", "LANG": "C.UTF-8"}
     settings |= {each: os.environ[each] for each in ("FPATH", "MODULE_PATH") if each in os.environ}
-    child = pexpect.spawn(shutil.which(name), arguments, env=settings, cwd=tmp_path, timeout=30, dimensions=(50, 200))
+    child = pexpect.spawn(
+        shutil.which(name), arguments, env=settings, cwd=tmp_path, timeout=PATIENCE, dimensions=(50, 200)
+    )
     child.sendline(f'{first}; eval "$(robot-runner completion {name})"; echo is rea""dy')
     child.expect("is ready")
     yield child
@@ -46,6 +49,7 @@ def completed(shell: pexpect.spawn, typed: str, whole: str) -> None:
     shell.sendline("echo next")
     shell.expect("next\r\n")
     shell.send(f"{typed}\t")
+    shell.expect_exact(typed)  # which may hold what is added: `queue ad` holds a d
     shell.expect_exact(whole.removeprefix(typed))
     shell.sendcontrol("u")
 
