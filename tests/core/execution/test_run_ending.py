@@ -16,6 +16,7 @@ from typing import Any
 
 import pytest
 from tests.long_cases import long_but, soak_but
+from tests.waiting import PATIENCE
 
 from robot_runner.core.config.preparation import prepare_or_refuse
 from robot_runner.core.errors import PluginError, StorageError
@@ -651,20 +652,19 @@ def test_the_name_that_may_be_meant_is_told_of_a_callback_that_fails(
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_processes_of_the_experiment_itself_live_on_where_those_of_callbacks_end(number: int) -> None:
     def ended(fork: Callable[[], int]) -> int:
-        reader, writer = os.pipe()
+        (begun, begin), (told, tell) = os.pipe(), os.pipe()
         pid = fork()
         if pid == 0:
             with suppress(BaseException):
-                os.write(writer, b".")
-                deadline = time.monotonic() + 0.5
-                while time.monotonic() < deadline:
-                    time.sleep(0.01)
+                os.write(begin, b".")
+                os.read(told, 1)  # after the signal
                 os._exit(7)
             os._exit(1)
-        os.read(reader, 1)
-        os.close(reader)
-        os.close(writer)
+        os.read(begun, 1)
         os.kill(pid, number)
+        os.write(tell, b".")
+        for each in (begun, begin, told, tell):
+            os.close(each)
         return os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
 
     with stop_signals_handled(lambda _number, _frame: None):
@@ -695,7 +695,7 @@ def test_a_thread_ends_a_mission_also_where_the_signal_that_tells_was_blocked_wh
     def mission() -> None:
         gate.arm(is_mission=True)
         begun.set()
-        time.sleep(5.0)
+        time.sleep(PATIENCE)
 
     try:
         threading.Thread(target=end, daemon=True).start()
