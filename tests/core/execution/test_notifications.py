@@ -76,6 +76,12 @@ class Server:
         return [message["title"] for message in self.messages]
 
 
+@pytest.fixture(autouse=True)
+def _busy_machine(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Wait as long as a busy machine needs to import apprise."""
+    monkeypatch.setattr(notifications, "_DEADLINE", 120.0)
+
+
 @pytest.fixture
 def server() -> Iterator[Server]:
     with Server() as served:
@@ -232,7 +238,6 @@ def test_a_server_that_hangs_holds_no_run_up_and_is_warned_of_once(
 def test_services_that_take_nothing_are_warned_of_by_their_scheme_alone(
     execute: Execute, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(notifications, "_DEADLINE", 120.0)  # a busy machine needs long to import apprise
     monkeypatch.setenv("ROBOT_RUNNER_NOTIFY", f"nonsense://{SECRET}\njson://127.0.0.1:1/{SECRET}")
     executed = execute(f"{HERE}\nnotify = Notify(every=4)")
     told = sorted(str(each) for each in executed.finished.findings if each.where == "notify")
