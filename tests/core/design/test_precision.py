@@ -127,14 +127,20 @@ def test_differences_are_those_within_repetitions() -> None:
     [
         ({("Video",): [-1.0, 1, -1, 1, 0]}, "2 %", "Video: the mean is 0, of which 2 % is not a width"),
         ({("Video",): [1.0, 2, 3, 4, 5], ("Idle",): [None] * 5}, "2 %", "Idle: no run has a value of Energy"),
-        ({("Video",): [1.0, "high", 3, 4, 5]}, "2 %", "Energy: r_0_2 has 'high', which is not a number"),
-        ({("Video",): [True] * 5}, "2 %", "Energy: r_0_1 has True, which is not a number"),
+        ({("Video",): [1.0, "high", 3, 4, 5]}, "2 %", "r_0_2 has 'high', which is not a number"),
+        ({("Video",): [True] * 5}, "2 %", "r_0_1 has True, which is not a number"),
+        ({("Video",): [1.0, -1e308, 2, 3, 4]}, "2 %", "r_0_2 has -1e+308, which is too large to compute with"),
     ],
 )
 def test_what_cannot_be_known_ends_the_repetition(values: Any, asked: str, problem: str) -> None:
     found = judged(values, rule(asked))
     assert found.problems == (problem,)
     assert not found.needs_more
+
+
+def test_a_measure_that_cannot_be_judged_is_named_once() -> None:
+    found = judged({("Video",): [True] * 5}, rule())
+    assert found.in_words() == "Energy: r_0_1 has True, which is not a number"
 
 
 def test_values_that_are_all_the_same_are_precise_and_odd() -> None:

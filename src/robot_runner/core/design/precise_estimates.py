@@ -27,6 +27,8 @@ from robot_runner.core.words import INACTIVE, combination_label, counted, listed
 #: interval for the mean, Annals of Mathematical Statistics 39, 1968.
 LOOKS_IN_A_ROW = 4
 
+#: Sums of larger values may be beyond all floats.
+_LARGEST = 1e300
 #: The treatments of a combination: pairs of factor and text.
 Treatments = tuple[tuple[str, str], ...]
 
@@ -54,7 +56,7 @@ class Known:
     """How precisely one mean, or one difference of means, is known.
 
     Attributes:
-        of: its name, such as `Video / 0.2`, or `Video - Network` for a difference.
+        of: its name, such as `Video / 0.2`, or `Video - Network` for a difference; empty for the measure as a whole.
         n: the number of values; for a difference that of repetitions.
         mean: in the measure's unit; None where there is no value.
         half_width: half the width of its interval, in the unit; None for fewer than two values.
@@ -111,7 +113,7 @@ class Judgement:
         """Why the rule cannot be followed; empty where it can be."""
         if not self.known:
             return ("there is nothing to compare: no factor has two treatments that are combined with the same",)
-        return tuple(f"{each.of}: {each.problem}" for each in self.known if each.problem)
+        return tuple(": ".join(filter(None, (each.of, each.problem))) for each in self.known if each.problem)
 
     @property
     def needs_more(self) -> bool:
@@ -148,10 +150,9 @@ def judge(rule: Precision, looks: tuple[int, int], repetitions: int, runs: Itera
     first, last = looks
     level = level_at_each_look(first, max(last, repetitions, first))
     observed = list(runs)
-    wrong = next((run for run in observed if run.value is not None and not is_number(run.value)), None)
-    if wrong is not None:
-        problem = f"{wrong.run_id} has {wrong.value!r}, which is not a number"
-        return Judgement(rule, level, repetitions, (Known(of=rule.measure, n=0, problem=problem),))
+    problem = next((f"{run.run_id} has {run.value!r}, {why}" for run in observed if (why := _unusable(run.value))), "")
+    if problem:
+        return Judgement(rule, level, repetitions, (Known(of="", n=0, problem=problem),))
     make = _means if rule.of is PreciseOf.MEANS else _differences
 
     def judged_after(count: int) -> Judgement:
@@ -165,6 +166,13 @@ def judge(rule: Precision, looks: tuple[int, int], repetitions: int, runs: Itera
             break
         in_a_row += 1
     return replace(found, in_a_row=in_a_row)
+
+
+def _unusable(value: Any) -> str:
+    """Return why a value cannot be computed with; empty where it can, or where there is none."""
+    if value is None or (is_number(value) and abs(value) <= _LARGEST):
+        return ""
+    return "which is too large to compute with" if is_number(value) else "which is not a number"
 
 
 def _means(rule: Precision, level: float, observed: Sequence[Observed]) -> Iterator[Known]:
