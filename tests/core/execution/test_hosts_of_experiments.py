@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import time
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pytest
 from tests.conftest import written_config
@@ -13,6 +13,7 @@ from tests.core.links.ssh_server import SshServer
 
 from robot_runner.core.config.preparation import prepare
 from robot_runner.core.errors import ConfigError, ExecutionError
+from robot_runner.core.execution import between_runs
 from robot_runner.core.execution.notices import FindingsNoticed, HostRestarts
 
 if TYPE_CHECKING:
@@ -167,9 +168,21 @@ def test_hosts_are_checked_before_anything_is_executed(tmp_path: Path) -> None:
     ],
 )
 def test_hosts_are_started_anew_and_awaited(
-    server: SshServer, tmp_path: Path, policy: str, before: list[str], robot: str, table: str
+    server: SshServer,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    policy: str,
+    before: list[str],
+    robot: str,
+    table: str,
 ) -> None:
-    script = server.reboot_script()
+    script, await_end = server.reboot_script(), between_runs._await_end
+
+    def await_end_and_tell(*given: Any) -> None:
+        await_end(*given)
+        server.miss()
+
+    monkeypatch.setattr(between_runs, "_await_end", await_end_and_tell)
     body = f"""
 robot = {robot}
 hosts = {{"robot": Host(address="robot", ssh_config=HERE / "ssh_config", reboot=Reboot.{policy},
@@ -193,7 +206,7 @@ class RobotRunnerConfig("""
     assert [record["next_run"] for record in records] == before
     for record in records:
         assert (record["host"], record["failure"]) == ("robot", "")
-        assert record["away_s"] > 0.3
+        assert record["away_s"] > 0.5
         assert record["is_new_kernel"] is False, "only sshd was started anew here"
     assert any(
         "its kernel was not restarted" in str(each) for each in executed.notices if isinstance(each, FindingsNoticed)

@@ -61,6 +61,8 @@ setsid sh -c '
 sleep 0.2
 old=$(cat {folder}/sshd.pid)
 kill -KILL $(pgrep -P "$(pgrep -d, -P $old)") $(pgrep -P $old) $old
+for _ in $(seq 600); do [ -e {folder}/missed ] && break; sleep 0.1; done
+rm -f {folder}/missed
 sleep 0.5
 {sshd} -D -e -f {folder}/sshd_config </dev/null >>{folder}/sshd.log 2>&1 &
 echo $! >{folder}/sshd.pid
@@ -121,13 +123,18 @@ class SshServer:
     def reboot_script(self) -> Path:
         """Return a script that stands for `reboot` on the host: it ends this sshd, and starts it again.
 
-        The process id of the sshd that was started last stands in `sshd.pid`; `stop` ends that one, too.
+        It is away until `miss` tells that this was noticed, and for half a second from then on. The process id of the
+        sshd that was started last stands in `sshd.pid`; `stop` ends that one, too.
         """
         (self.folder / "sshd.pid").write_text(str(self._process.pid))
         script = self.folder / "reboot.sh"
         script.write_text(_REBOOT.format(folder=self.folder, sshd=needed("sshd")))
         script.chmod(0o755)
         return script
+
+    def miss(self) -> None:
+        """Tell that somebody has noticed that the server is away."""
+        (self.folder / "missed").touch()
 
     def cut(self) -> None:
         """End the connections that are open, as a network that fails would; the server goes on."""
