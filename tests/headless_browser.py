@@ -93,14 +93,25 @@ class Browser:
             time.sleep(0.05)
 
     def press(self, selector: str) -> None:
-        """Press what a selector names with the pointer, where it is on the screen."""
-        place = self.evaluate(
-            f"(() => {{ const e = document.querySelector({json.dumps(selector)}); e.scrollIntoView({{block: 'center',"
-            f" behavior: 'instant'}}); const r = e.getBoundingClientRect();"
-            f" return [r.left + r.width / 2, r.top + r.height / 2]; }})()"
-        )
-        for kind in ("mousePressed", "mouseReleased"):
-            self.call("Input.dispatchMouseEvent", type=kind, x=place[0], y=place[1], button="left", clickCount=1)
+        """Press what a selector names with the pointer, where it is on the screen.
+
+        Again where that was drawn anew between press and release, or has moved: it gets no click then.
+        """
+        deadline, name = time.monotonic() + _DEADLINE, json.dumps(selector)
+        while True:
+            place = self.evaluate(
+                f"(() => {{ const e = document.querySelector({name}); e.scrollIntoView({{block: 'center',"
+                " behavior: 'instant'}); const r = e.getBoundingClientRect(); window.isClicked = false;"
+                f" const look = (event) => {{ window.isClicked ||= Boolean(event.target.closest({name})); }};"
+                " window.addEventListener('click', look, true);"
+                " window.lookAway = () => window.removeEventListener('click', look, true);"
+                " return [r.left + r.width / 2, r.top + r.height / 2]; })()"
+            )
+            for kind in ("mousePressed", "mouseReleased"):
+                self.call("Input.dispatchMouseEvent", type=kind, x=place[0], y=place[1], button="left", clickCount=1)
+            if self.evaluate("(window.lookAway?.(), window.isClicked !== false)"):  # or another page is open by now
+                return
+            assert time.monotonic() < deadline, f"{selector} cannot be pressed"
 
     def key(self, name: str, code: int = 0) -> None:
         """Press a key, such as Tab or Enter."""
