@@ -33,6 +33,8 @@ class Instructions:
 
     def __enter__(self) -> Self:
         self._earlier = sys.gettrace()
+        # CPython 3.12 traces opcodes only if some frame wanted them when the tracing began.
+        sys._getframe().f_trace_opcodes = True
         sys.settrace(self._enter)
         return self
 

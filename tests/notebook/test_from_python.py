@@ -21,6 +21,7 @@ import pytest
 from tests.conftest import written_config
 from tests.core.execution.conftest import RecordingObserver
 from tests.forked_program import child_processes
+from tests.instructions import Instructions
 from tests.long_cases import soak_but
 from tests.waiting import wait_until
 
@@ -507,35 +508,21 @@ def test_wherever_an_interrupt_comes_it_ends_the_copy_and_none_goes_on_without_i
 
     def interrupted(at: int | None) -> int:
         """Interrupt at an instruction, or once the work has begun; return how many there were until then."""
-        count = 0
-
-        def trace(frame: FrameType, event: str, _argument: object) -> Any:
-            nonlocal count
-            frame.f_trace_opcodes = True
-            if event == "opcode" and os.getpid() == process:
-                count += 1
-                if count == at:
-                    signal.getsignal(signal.SIGINT)(signal.SIGINT, frame)  # type: ignore[misc, operator]
-            return trace if frame.f_code.co_filename == apart.__file__ else None
+        def interrupt(frame: FrameType) -> None:
+            signal.getsignal(signal.SIGINT)(signal.SIGINT, frame)  # type: ignore[misc, operator]
 
         def say(_line: str) -> None:
             if at is None:
                 sys.settrace(None)
                 os.kill(process, signal.SIGINT)
 
-        def traced() -> None:
-            try:
-                sys.settrace(lambda frame, *_: trace(frame, "", None))
-                apart.execute_forked(work, say)
-            finally:
-                sys.settrace(earlier)
-
-        process, earlier, there = os.getpid(), sys.gettrace(), child_processes()
-        with pytest.raises(KeyboardInterrupt):
-            traced()
+        process, there = os.getpid(), child_processes()
+        instructions = Instructions(apart.__file__, at=at, act=interrupt)
+        with pytest.raises(KeyboardInterrupt), instructions:
+            apart.execute_forked(work, say)
         assert child_processes() <= there
         assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
-        return count
+        return instructions.count
 
     count = interrupted(None)
     for at in range(3, count, count // 40):
