@@ -16,13 +16,12 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from tests.command_line import PROGRAM
 from tests.loopback_port import claim_port
+from tests.waiting import PATIENCE
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
 pytest.importorskip("starlette", reason="the extra 'page' is not installed")
-
-_DEADLINE = 60.0
 
 
 @dataclass
@@ -62,7 +61,7 @@ class ServedPage:
     def stop(self) -> None:
         if self.process is not None:
             self.process.terminate()
-            self.process.communicate(timeout=20)
+            self.process.communicate(timeout=PATIENCE)
 
     def key(self, link: str = "Here") -> str:
         return self.links[link].partition("#key=")[2]
@@ -75,7 +74,7 @@ class ServedPage:
         if key is not None:
             given.setdefault("Authorization", f"Bearer {self.key(key)}")
         data = None if body is None else json.dumps(body).encode()
-        connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=_DEADLINE)
+        connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=PATIENCE)
         try:
             connection.request(method, path, body=data, headers=given)
             answer = connection.getresponse()
@@ -91,10 +90,10 @@ class ServedPage:
     @property
     def experiments(self) -> dict[str, str]:
         """The ids of all experiments, by their names."""
-        connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=_DEADLINE)
+        connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=PATIENCE)
         connection.request("GET", "/api/events", headers={"Authorization": f"Bearer {self.key()}"})
         stream = connection.getresponse()
-        deadline = time.monotonic() + _DEADLINE
+        deadline = time.monotonic() + PATIENCE
         try:
             while not (line := stream.readline()).startswith(b"data: [") or line.strip() == b"data: []":
                 assert line, "the stream has ended"

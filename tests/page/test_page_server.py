@@ -11,11 +11,12 @@ import socket
 import subprocess
 from typing import TYPE_CHECKING
 
+import psutil
 import pytest
 from tests.command_line import PROGRAM
 from tests.conftest import HEAD, written_config
 from tests.page.conftest import ServedPage, executed, processor_seconds
-from tests.waiting import wait_until
+from tests.waiting import PATIENCE, wait_until
 
 from robot_runner.core.config.operator_steps import Question
 from robot_runner.core.config.preparation import prepare_or_refuse
@@ -201,6 +202,7 @@ def test_it_sees_what_is_recorded_within_a_second_and_ends_without_a_trace(
         assert (refused.status, refused.json["problem"]) == (409, refused.json["problem"])
         assert "does not wait" in refused.json["problem"]
         experiment.send_signal(signal.SIGSTOP)  # what is written now is written by the page
+        wait_until(lambda: psutil.Process(experiment.pid).status() == psutil.STATUS_STOPPED)
         before = {path: path.stat().st_mtime_ns for path in root.rglob("*")}
         spent = processor_seconds(page.process.pid)
         with pytest.raises(subprocess.TimeoutExpired):
@@ -299,13 +301,13 @@ def test_whoever_sends_what_is_no_request_prints_nothing_into_the_terminal(
         b"\x16\x03\x01 TLS\r\n\r\n",
         b"GET / HTTP/1.1\r\nHost: a\r\nConnection: upgrade\r\nUpgrade: x\r\n\r\n",
     ):
-        with socket.create_connection(("127.0.0.1", page.port), timeout=20) as connection:
+        with socket.create_connection(("127.0.0.1", page.port), timeout=PATIENCE) as connection:
             connection.sendall(sent)
             assert connection.recv(100)
     process, page.process = page.process, None
     assert process is not None
     process.terminate()
-    assert process.communicate(timeout=20)[0].strip() == ""
+    assert process.communicate(timeout=PATIENCE)[0].strip() == ""
 
 
 @pytest.mark.long
