@@ -508,6 +508,7 @@ def test_wherever_an_interrupt_comes_it_ends_the_copy_and_none_goes_on_without_i
 
     def interrupted(at: int | None) -> int:
         """Interrupt at an instruction, or once the work has begun; return how many there were until then."""
+
         def interrupt(frame: FrameType) -> None:
             signal.getsignal(signal.SIGINT)(signal.SIGINT, frame)  # type: ignore[misc, operator]
 
