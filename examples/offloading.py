@@ -30,13 +30,14 @@ from robot_runner import (
 from robot_runner.plugins.profilers import Ina219
 from robot_runner.plugins.systems import BasicTurtlebot3, Program
 
-#: Stands for the software under test: says that it is ready, and keeps what it finds in its log.
+#: Stands for the software under test: says that it is ready once it finds something, and keeps that in its log.
 DETECTOR = """
-import sys, time
+import itertools, sys, time
 width, log = int(sys.argv[1]), open(sys.argv[2], "w")
-print("ready to detect", flush=True)
-while True:
+for found in itertools.count():
     print(f"{time.time():.3f} an object, {width} pixels wide", file=log, flush=True)
+    if found == 0:
+        print("ready to detect", flush=True)
     time.sleep(0.05)
 """
 
