@@ -665,6 +665,23 @@ def test_where_one_run_differs_and_all_others_are_alike_both_agree(
 
 @pytest.mark.long
 @needs_r
+def test_of_treatments_that_say_yes_equally_often_both_agree(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    yes = {"Video": "1101110", "Network": "1101101", "Idle": "1111001"}
+
+    def values(treatments: dict[str, Any], repetition: int) -> dict[str, Any]:
+        return {"Success": yes[treatments["Task"]][repetition - 1] == "1"}
+
+    folder = make_experiment(
+        tmp_path / "made", [TASKS], values, repetitions=7, measures=["Success"], blocks="Repetition"
+    )
+    notebook, script = write_recomputations(folder.root)
+    assert "numbers agree" in executed(notebook, monkeypatch)
+    finished = rscript(script)
+    assert finished.returncode == 0, finished.stdout[-3000:] + finished.stderr
+
+
+@pytest.mark.long
+@needs_r
 def test_of_measures_that_are_multiples_of_one_another_both_agree(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

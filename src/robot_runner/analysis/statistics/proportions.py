@@ -57,6 +57,8 @@ _FEWEST_DRAWS, _MOST_DEALT = 9_999, 20_000_000
 _SEED = 20210525
 #: Tables are as probable as the observed one if their probabilities differ by rounding only (as in R's fisher.test).
 _ROUNDING = 1e-7
+#: A smaller statistic is 0 but for rounding; one that is not is larger than this in tables of many million runs, too.
+_NOTHING = 1e-9
 
 
 def proportions_of(data: MeasureData, most_groups: int) -> Proportions:
@@ -270,7 +272,7 @@ class Strata:
     def _permuted(self, draws: int) -> float:
         draws = min(draws, max(_FEWEST_DRAWS, _MOST_DEALT // len(self.runs)))
         drawn = _statistics_drawn(*self._margins, draws)
-        as_large = draws - np.searchsorted(drawn, self.statistic()[0] * (1 - _ROUNDING))
+        as_large = draws - np.searchsorted(drawn, self.statistic()[0] * (1 - _ROUNDING) - _NOTHING)
         return float((1 + as_large) / (1 + draws))
 
     def shares(self, weights: Sequence[float] = DIFFERENCE) -> tuple[Share, ...] | None:
