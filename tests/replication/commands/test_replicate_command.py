@@ -215,6 +215,7 @@ class TestEnvironments:
     @pytest.mark.long
     def test_a_stop_request_reaches_what_executes(self, package, linked, tmp_path):
         words = [PROGRAM, "replicate", "small.zip", "--yes", "--environment", linked, "--plain"]
+        words += ["--set", "time_between_runs_in_ms=60000"]  # else all is over where the request comes late
         with subprocess.Popen(
             words, cwd=tmp_path, stdout=subprocess.PIPE, text=True, start_new_session=True
         ) as process:
