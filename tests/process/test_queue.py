@@ -150,7 +150,7 @@ def test_who_wants_a_claimed_robot_is_refused_with_a_name_or_waits_and_ctrl_c_le
     holder: subprocess.Popen[str],
     tmp_path: Path,
 ) -> None:
-    path = config("first", seconds=0.3)
+    path = config("first", seconds=0, mission='while not (here / "may_end").exists(): time.sleep(0.01)')
     refused = robot_runner("run", path)
     assert refused.code == 2
     assert "alice is in use by the experiment 'by hand' in /results/by_hand" in refused.err
@@ -182,6 +182,7 @@ def test_who_wants_a_claimed_robot_is_refused_with_a_name_or_waits_and_ctrl_c_le
     assert runner.returncode == 130, output
     assert "1 (first) stays in the queue" in output
     assert "waits for its turn" in robot_runner("queue").out
+    (tmp_path / "may_end").touch()
     last = start("queue", "run")
     assert last.wait(PATIENCE) == 0
     assert set(done_runs(tmp_path / "results" / "first").values()) == {1}
@@ -262,7 +263,8 @@ def test_an_experiment_whose_process_is_killed_twice_is_begun_again_after_a_rest
     assert robot_runner("queue", "add", config("first", seconds=0)).code == 0
     begun, python = tmp_path / "begun", tmp_path / "python"
     python.write_text(
-        f'#!/bin/sh\necho begun >>{begun}\n[ $(wc -l <{begun}) -gt 2 ] || kill -KILL $$\nexec "{sys.executable}" "$@"\n'
+        f'#!/bin/sh\necho begun >>"{begun}"\n[ $(wc -l <"{begun}") -gt 2 ] || kill -KILL $$\n'
+        f'exec "{sys.executable}" "$@"\n'
     )
     python.chmod(0o700)
     queue = ExperimentQueue()
