@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 from tests.conftest import TABLE
+from tests.core.execution.conftest import Executed
 
 from robot_runner.core.config.preparation import prepare_or_refuse
 from robot_runner.core.errors import ExecutionError, Severity
@@ -329,6 +330,34 @@ def test_where_the_journal_counts_a_run_has_the_treatment_with_which_it_was_exec
     finished = resume(executed, table=TableChoice.JOURNAL)
     assert text_of(executed.folder / "run_table.csv") == before
     assert any("earlier_tables/1.csv" in finding.fix for finding in finished.findings)
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("r_4,-,,,,,,,,,Network,2,", "r_4,-,,,,,,,,,Video,2,"),
+        ("r_4,-,,,,,,,,,Network,2,\n", "r_4,-,,,,,,,,,Network,2,\nr_5,-,,,,,,,,,Network,3,\n"),
+    ],
+    ids=["another treatment", "a run more"],
+)
+def test_where_the_journal_counts_no_run_is_executed_otherwise_than_planned(
+    write_config: Any, old: str, new: str
+) -> None:
+    config, first = write_config(COUNTING), Resumption(only=("r_1", "r_2"))
+    executed = Executed(config, execute_experiment(prepare_or_refuse(config), SilentObserver(), resumption=first), [])
+    edited(executed, old, new)
+    with pytest.raises(ExecutionError, match="the plan"):
+        resume(executed)
+    finished = resume(executed, table=TableChoice.JOURNAL)
+    assert [(row["run_id"], row["Task"]) for row in executed.table] == [
+        ("r_1", "Video"),
+        ("r_2", "Network"),
+        ("r_3", "Video"),
+        ("r_4", "Network"),
+    ]
+    assert any("had other runs than are planned" in finding.problem for finding in finished.findings)
+    assert new in text_of(executed.folder / "earlier_tables" / "1.csv")
+    assert resume(executed).done_count == 4, "it goes on without a question"
 
 
 def test_a_table_restored_from_yesterday_executes_nothing_again_unasked(execute: Execute) -> None:

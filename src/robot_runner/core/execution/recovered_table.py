@@ -29,7 +29,7 @@ from robot_runner.core.storage.journal import Journal, journal_lines, parsed_rec
 from robot_runner.core.storage.layout import put_attempt_back, runs_put_away
 from robot_runner.core.storage.run_table_rows import RunTableRows, write_run_table
 from robot_runner.core.storage.table_columns import ColumnDescription, ColumnRole
-from robot_runner.core.storage.table_schema import describe_columns, write_schema
+from robot_runner.core.storage.table_schema import describe_columns, read_schema, write_schema
 from robot_runner.core.words import counted, enumerated
 
 # As `Journal.append` writes them: run and status are read from the line, as parsing takes twenty times as long.
@@ -169,6 +169,16 @@ def _added(plan: RunTable) -> Iterator[tuple[str, set[str]]]:
         later = set(chain.from_iterable(ids for _, ids in batch.added))
         yield f"batch {batch.number}", {run.run_id for run in batch.runs} - later
         yield from ((name, set(ids)) for name, ids in batch.added)
+
+
+def schema_of(path: Path) -> tuple[tuple[ColumnDescription, ...], tuple[Finding, ...]]:
+    """Return the columns of the schema; none where it is missing, or damaged, which is a finding."""
+    if not path.exists():
+        return (), ()
+    try:
+        return read_schema(path), ()
+    except StorageError as error:
+        return (), (Finding.warning(str(path), f"{error.problem}: it is rebuilt from the journal"),)
 
 
 def lacks_runs(plan: RunTable, rows: RunTableRows) -> bool:

@@ -168,8 +168,8 @@ ACCEPT = "--accept-changes"
 _CONFIG_FIX = f"Undo the change, accept it ({ACCEPT}), or choose another experiment_name."
 _FROM_OUTSIDE = ", and comes from outside the file, such as from an environment variable, or from hash()"
 _TABLE_FIX = (
-    f"Undo the change (--table journal does, in runs that are done), let the table count (--table file, or {ACCEPT}), "
-    "or choose another experiment_name."
+    f"Undo the change (--table journal does), let the table count (--table file, or {ACCEPT}), or choose another "
+    "experiment_name."
 )
 _PLAN_FIX = (
     "Nobody changed the table: create_run_table was changed, or it may plan otherwise in each process, as from random "

@@ -104,6 +104,29 @@ def planned_otherwise(
     yield from (each for each in found if changed.get((each.run, each.column)) != each.is_now)
 
 
+def unlike_plan(
+    plan: Sequence[PlannedRun],
+    rows: RunTableRows,
+    changed: Mapping[tuple[str, str], str] | None,
+    known: Iterable[str] | None,
+) -> str:
+    """Return in words that runs which are not done are other ones than planned; empty where they are not.
+
+    Args:
+        plan: all runs.
+        rows: of the table.
+        changed: the accepted text by run and column; None where other treatments are not looked at.
+        known: the runs that there may be beside those of the plan; None where there may be any.
+    """
+    planned = {run.run_id for run in plan}
+    if planned.difference(rows.values(RUN_ID)):
+        return "lacked runs that are planned"
+    has_more = known is not None and not planned.union(known).issuperset(rows.values(RUN_ID))
+    if has_more or (changed is not None and next(planned_otherwise(plan, rows, (), changed), None) is not None):
+        return "had other runs than are planned"
+    return ""
+
+
 def with_changes(
     path: Path, rows: RunTableRows, plan: Sequence[PlannedRun], changed: Mapping[tuple[str, str], str]
 ) -> tuple[RunTableRows, str]:

@@ -25,8 +25,8 @@ from robot_runner.core.execution.recovered_table import (
     Deviation,
     RecoveredTable,
     TableHistory,
-    lacks_runs,
     run_of,
+    schema_of,
     with_later_batches,
 )
 from robot_runner.core.execution.resumption import (
@@ -47,6 +47,7 @@ from robot_runner.core.execution.table_deviations import (
     planned_otherwise,
     treatment_deviations,
     unfit_values,
+    unlike_plan,
     with_changes,
 )
 from robot_runner.core.storage.cells import RunStatus, measure_text
@@ -62,8 +63,8 @@ from robot_runner.core.storage.journal import journal_lines, parsed_record, read
 from robot_runner.core.storage.layout import next_in
 from robot_runner.core.storage.run_table_reading import read_run_table
 from robot_runner.core.storage.run_table_rows import RunTableRows
-from robot_runner.core.storage.table_columns import ColumnDescription, TableLayout, former_measures
-from robot_runner.core.storage.table_schema import read_schema
+from robot_runner.core.storage.table_columns import TableLayout, former_measures
+from robot_runner.core.words import counted
 
 _CHOOSE = (
     "Let what was executed count (--table journal), or let the file count (--table file): each change is recorded."
@@ -99,14 +100,14 @@ class _Recovery:
         self._manifest = manifest
         self._is_first = len(manifest["executions"]) == 1 and "restored_at" not in manifest
         self._plan: RunTable = experiment.model.plan(manifest["seed"])
-        self._schema, self._schema_findings = _schema_of(folder.schema)
+        self._schema, self._schema_findings = schema_of(folder.schema)
         self._history = TableHistory.of(folder.journal)
         layout: TableLayout = experiment.table_layout(
             {each.name: each.type for each in self._schema} or None, warms_up=bool(manifest["design"].get("warm_up"))
         )
         self._former = former_measures(self._schema, layout)
-        names = tuple(column.name for column in self._former)
         counts = not self._is_by_hand and manifest["design"]["repetitions"] > 1  # the config may repeat nothing by now
+        names = tuple(column.name for column in self._former)
         layout = replace(layout, has_repetition=layout.has_repetition or counts, former_measures=names)
         self._layout = replace(layout, has_exclusions=self._history.excluded.were_any)
         self._is_known_to_be_reordered = bool(manifest["design"].get("is_reordered"))
@@ -153,8 +154,8 @@ class _Recovery:
             raise TableDisagreementError.of_findings(findings) from error
         rows, added = with_later_batches(self._path, self._plan, rows)
         unrecorded = self._unrecorded(rows)  # first: an older journal lacks later batches, and so does the plan
-        if not self._is_by_hand and self._choice is TableChoice.JOURNAL and lacks_runs(self._plan, rows):
-            return self._rebuilt("the run table lacked runs that are planned")
+        if not self._is_by_hand and self._choice is TableChoice.JOURNAL and (why := self._unlike_plan(rows)):
+            return self._rebuilt(f"the run table {why}")
         is_on_disk = rows.has_file and bool(self._schema) and not added
         table = RecoveredTable(self._experiment, rows, findings=(*rows.warnings, *added), is_on_disk=is_on_disk)
         by_hand: tuple[Deviation, ...] = ()
@@ -187,6 +188,12 @@ class _Recovery:
             accepted |= {(*cell, is_now) for cell, is_now in self._last_ends()[1].items()}
             refuse_differences(table_differences(self._path, self._plan, rows, accepted, is_as_written=is_ours))
         return "", ()
+
+    def _unlike_plan(self, rows: RunTableRows) -> str:
+        design, is_ours = self._manifest["design"], self._history.written == sha256_of(self._path)
+        may_have_more = design.get(ACCEPTED_PLAN) == plan_digest(self._plan)
+        known = None if is_ours or may_have_more else self._history.attempted
+        return unlike_plan(self._plan, rows, None if is_ours else self._last_ends()[1], known)
 
     def _unrecorded(self, rows: RunTableRows) -> list[str]:
         """Return the runs that are done by the table and have no end in the journal, which is older, or missing.
@@ -250,7 +257,8 @@ class _Recovery:
             for run_id in {each.run: None for each in found if each.column != EXCLUDED}:
                 table.take_record(parsed_record(self._journal, ends[run_id]))
             self._leave_out(table)
-            problem = f"{len(found)} cells of the run table were put back to what the journal has"
+            cells = f"{counted(len(found), 'cell')} of the run table"
+            problem = f"{cells} {'was' if len(found) == 1 else 'were'} put back to what the journal has"
             table.findings = (*table.findings, Finding.warning(str(self._path), problem, self._kept_fix()))
 
     def _changed_treatments(self, rows: RunTableRows, changed: Mapping[tuple[str, str], str]) -> Iterator[Deviation]:
@@ -388,13 +396,3 @@ def is_blank(path: Path) -> bool:
         return not any(block.strip() for block in read_blocks(path))
     except MissingFileError:
         return False
-
-
-def _schema_of(path: Path) -> tuple[tuple[ColumnDescription, ...], tuple[Finding, ...]]:
-    """Return the columns of the schema; none where it is missing, or damaged, which is a finding."""
-    if not path.exists():
-        return (), ()
-    try:
-        return read_schema(path), ()
-    except StorageError as error:
-        return (), (Finding.warning(str(path), f"{error.problem}: it is rebuilt from the journal"),)
