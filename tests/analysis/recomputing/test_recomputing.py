@@ -682,6 +682,22 @@ def test_of_treatments_that_say_yes_equally_often_both_agree(tmp_path: Path, mon
 
 @pytest.mark.long
 @needs_r
+def test_of_treatments_of_the_same_sum_in_blocks_both_agree(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def values(treatments: dict[str, Any], repetition: int) -> dict[str, Any]:
+        return {"Stops": float([3, 2, 2, 1, 0][(treatments["Speed"] - repetition) % 5]) if repetition <= 5 else 2.0}
+
+    speeds = Factor("Speed", range(5))
+    folder = make_experiment(
+        tmp_path / "made", [speeds], values, repetitions=8, measures=["Stops"], blocks="Repetition"
+    )
+    notebook, script = write_recomputations(folder.root)
+    assert "numbers agree" in executed(notebook, monkeypatch)
+    finished = rscript(script)
+    assert finished.returncode == 0, finished.stdout[-3000:] + finished.stderr
+
+
+@pytest.mark.long
+@needs_r
 def test_of_measures_that_are_multiples_of_one_another_both_agree(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -245,3 +245,18 @@ def test_sums_that_are_singular_but_for_rounding_are_not_tested_together() -> No
     for seed in range(100):
         order = np.random.default_rng(seed).permutation(14)
         assert fit_robustly(exog[order], np.arange(14.0)[order]).hotelling(np.eye(13)[-4:]) is None
+
+
+def test_treatments_of_the_same_sum_have_no_pattern_of_signs_that_is_nearer_to_0(tmp_path: Path) -> None:
+    """Of the contrasts some 1e-16 is left, as of other patterns whose sums are 0."""
+    counts = [3, 2, 2, 1, 0]  # each block has them, the next one a place further, and three have 2 of each
+    found = energy(
+        tmp_path,
+        lambda of, block: counts[(of["Speed"] - block) % 5] if block <= 5 else 2,
+        [Factor("Speed", range(5))],
+        repetitions=8,
+        blocks="Repetition",
+    )
+    assert found.test is not None
+    assert "sign flips" in found.test.effects[0].test
+    assert found.test.effects[0].p_value == 1

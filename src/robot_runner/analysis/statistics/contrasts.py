@@ -311,6 +311,7 @@ def sign_flipped(contrasts: Floats) -> Floats:
     """
     blocks = contrasts.shape[-2]
     observed = np.sum(contrasts.sum(axis=-2) ** 2, axis=-1) * (1 - _SAME)
+    observed -= _SAME**2 * np.sum(contrasts**2, axis=(-2, -1))  # a sum of 0 is none by rounding
     as_far = np.zeros(observed.shape)
     for pattern in range(2 ** (blocks - 1)):  # the opposite pattern has the same sums of squares
         signs = np.array([1.0, *(1.0 - 2 * (pattern >> place & 1) for place in range(blocks - 1))])
