@@ -10,6 +10,7 @@ import pytest
 from tests.conftest import written_config
 from tests.core.execution.conftest import Executed, execute_in
 from tests.core.links.ssh_server import SshServer
+from tests.event_deadline import enforce_deadline_in
 
 from robot_runner.core.config.preparation import prepare
 from robot_runner.core.errors import ConfigError, ExecutionError
@@ -87,7 +88,9 @@ def fetched(executed: Executed) -> str:
 
 
 @pytest.mark.long
-def test_results_are_fetched_when_a_run_stops_well_or_not(server: SshServer, tmp_path: Path) -> None:
+def test_results_are_fetched_when_a_run_stops_well_or_not(
+    server: SshServer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     well = execute_in(tmp_path, RESULTS, head=HEAD, table=ONE)
     assert well.finished.done_count == 1
     assert fetched(well) == "driving\n"
@@ -95,9 +98,10 @@ def test_results_are_fetched_when_a_run_stops_well_or_not(server: SshServer, tmp
     failed = execute_in(tmp_path, RESULTS + raising, head=HEAD, table=ONE, experiment_name="failed")
     assert failed.finished.failures == ("r_1: launch_mission of config: ValueError: bumped",)
     assert fetched(failed) == "driving\n"
-    endless = "event_deadline_in_s = 8.0\ndef launch_mission(self): time.sleep(600)"
+    enforce_deadline_in("launch_mission", monkeypatch)  # connections take long on a busy machine
+    endless = "event_deadline_in_s = 1.0\ndef launch_mission(self): time.sleep(600)"
     late = execute_in(tmp_path, RESULTS + endless, head=HEAD, table=ONE, experiment_name="late")
-    assert "took longer than event_deadline_in_s = 8 s" in late.finished.failures[0]
+    assert "took longer than event_deadline_in_s = 1 s" in late.finished.failures[0]
     assert fetched(late) == "driving\n"
 
 

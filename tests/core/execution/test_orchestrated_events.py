@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 from tests.core.execution.conftest import execute_in
+from tests.event_deadline import enforce_deadline_in
 from tests.long_cases import soak_but
 
 from robot_runner.core.errors import ExecutionError
@@ -118,7 +119,10 @@ def test_continue_is_told_of_the_run_that_is_over_and_of_the_next(execute: Execu
 
 
 @pytest.mark.parametrize("event", ["before_experiment", "after_experiment"])
-def test_an_event_of_the_experiment_that_takes_too_long_ends_it_and_is_named(execute: Execute, event: str) -> None:
+def test_an_event_of_the_experiment_that_takes_too_long_ends_it_and_is_named(
+    execute: Execute, monkeypatch: pytest.MonkeyPatch, event: str
+) -> None:
+    enforce_deadline_in(event, monkeypatch)
     started = time.monotonic()
     with pytest.raises(ExecutionError) as ended:
         execute(f"def {event}(self): __import__('time').sleep(60)", event_deadline_in_s=0.3)
@@ -147,7 +151,10 @@ def test_before_run_that_takes_too_long_fails_its_run_and_the_others_are_execute
     assert executed.finished.failures == (f"r_2: {reason}",)
 
 
-def test_continue_that_takes_too_long_ends_the_experiment_and_is_named(execute: Execute) -> None:
+def test_continue_that_takes_too_long_ends_the_experiment_and_is_named(
+    execute: Execute, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    enforce_deadline_in("continue", monkeypatch)
     with pytest.raises(ExecutionError) as ended:
         execute(
             """
@@ -160,7 +167,10 @@ def test_continue_that_takes_too_long_ends_the_experiment_and_is_named(execute: 
     assert ended.value.where == "continue of config"
 
 
-def test_a_callback_that_swallows_everything_is_ended_after_the_grace(execute: Execute) -> None:
+def test_a_callback_that_swallows_everything_is_ended_after_the_grace(
+    execute: Execute, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    enforce_deadline_in("before_run", monkeypatch)
     executed = execute(
         """
         caught = 0

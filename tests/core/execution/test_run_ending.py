@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from tests.event_deadline import enforce_deadline_in
 from tests.long_cases import long_but, soak_but
 from tests.waiting import PATIENCE
 
@@ -251,19 +252,25 @@ def test_a_mission_that_does_not_leave_c_is_ended_when_the_grace_is_over(execute
     assert str(failure_of(executed)) == f"launch_mission of config: {expected}"
 
 
-def test_a_closing_event_that_hangs_is_told_with_its_owner_and_where_it_hangs(execute: Execute) -> None:
+def test_a_closing_event_that_hangs_is_told_with_its_owner_and_where_it_hangs(
+    execute: Execute, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    enforce_deadline_in("stop_measurement", monkeypatch)
     hang = "def stop_measurement(self): threading.Event().wait()"
-    executed = execute(hang, head=HEAD, table=TABLE, event_deadline_in_s=2, grace_in_s=1)
-    because = "the event took longer than event_deadline_in_s = 2 s"
+    executed = execute(hang, head=HEAD, table=TABLE, event_deadline_in_s=1, grace_in_s=2)
+    because = "the event took longer than event_deadline_in_s = 1 s"
     assert executed.finished.failures == (f"r_1: stop_measurement of config: {because}",)
     failed = "stop_measurement of config failed: the callback was still being executed when"
     _, _, stack = executed.log("r_1").partition(failed)
     assert "in stop_measurement" in stack
 
 
-def test_a_mission_that_swallows_the_request_to_end_is_told_with_where_it_goes_on(execute: Execute) -> None:
+def test_a_mission_that_swallows_the_request_to_end_is_told_with_where_it_goes_on(
+    execute: Execute, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    enforce_deadline_in("launch_mission", monkeypatch)
     mission = "try: time.sleep(60)\nexcept BaseException: threading.Event().wait()"
-    executed = ended(execute, mission, grace_in_s="1", event_deadline_in_s="2")
+    executed = ended(execute, mission, grace_in_s="2", event_deadline_in_s="1")
     assert str(failure_of(executed)).startswith("launch_mission of config: the event took longer")
     assert "threading.Event().wait()" in failure_of(executed).traceback
 
@@ -357,7 +364,10 @@ def test_a_mission_that_is_stopped_where_python_drops_it_ends_all_the_same(execu
     assert "the mission went on" not in executed.log("r_1")
 
 
-def test_a_run_whose_deadline_passes_where_python_drops_exceptions_closes_what_it_opened(execute: Execute) -> None:
+def test_a_run_whose_deadline_passes_where_python_drops_exceptions_closes_what_it_opened(
+    execute: Execute, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    enforce_deadline_in("launch_mission", monkeypatch)
     mission = DROPPED.format(during="time.sleep(60)")
     executed = ended(execute, mission, event_deadline_in_s="1", grace_in_s="50")
     assert str(failure_of(executed)).startswith("launch_mission of config: the event took longer")
