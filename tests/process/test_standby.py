@@ -12,7 +12,6 @@ from tests.conftest import HEAD
 from tests.process.conftest import kill_together, wait_until
 
 from robot_runner.cli.main import main
-from robot_runner.core.storage.lock import holder_of
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -139,8 +138,9 @@ def test_an_answer_after_one_run_leaves_what_is_to_be_made_safe_after_another_th
         OperatorStep("wait", after={"Task": "Network"}),
     ]
 """
-    mission = f"context.combination['Task'] == 'Network' or (HERE / 'killed').exists() or {LONG}"
-    experiment = lamp(mission=mission, more=more, tasks='"Video", "Network"')
+    moves = "(HERE / context.run_id).touch()"
+    mission = f"{moves}; context.combination['Task'] == 'Network' or (HERE / 'killed').exists() or {LONG}"
+    experiment = lamp(mission=mission, more=more, tasks='"Video", "Network"', waits_for="r_1")
     journal = experiment.folder / "journal.jsonl"
     wait_until(lambda: '"step":"rate it"' in journal.read_text(), "the first step is asked for")
     assert main(["continue", str(experiment.folder), "--answer", "trust=5"]) == 0
@@ -350,20 +350,26 @@ def test_where_the_run_and_all_who_watch_over_it_are_killed_the_process_that_sta
     assert calls(experiment) == [[str(standby), "r_1", "Video"]]
 
 
+#: Tells that an execution has found somebody who stands by for an earlier one, for whom it waits then.
+TELLS_THAT_IT_WAITS = """
+    from robot_runner.core.execution import standby_lock
+    def tell(folder, found=standby_lock.kill_if_stopped):
+        (HERE / "waits").touch()
+        return found(folder)
+    standby_lock.kill_if_stopped = tell
+"""
+
+
 @pytest.mark.long
 def test_a_restart_waits_for_the_process_that_makes_the_systems_of_the_killed_run_safe(
     lamp: Callable[..., Any], start: Start
 ) -> None:
-    waiting = "[time.sleep(0.05) for _ in range(600) if not (HERE / 'restarted').exists()]"
-    lasting = f"{waiting}; time.sleep(2); (HERE / 'done').touch()"
+    lasting = "[time.sleep(0.05) for _ in range(1200) if not (HERE / 'waits').exists()]; (HERE / 'done').touch()"
     mission = "assert (HERE / 'done').exists() or time.sleep(60)"
-    experiment = lamp(make_safe=lasting, mission=mission)
+    experiment = lamp(make_safe=lasting, mission=mission, more=TELLS_THAT_IT_WAITS)
     kill(experiment.run_process(), experiment.keeper(), experiment.process.pid)
     experiment.wait_for("made_safe")
     again = start(config=experiment.config)
-    # It has the experiment's lock, and looks next who stands by; to start it may take longer than any fixed time.
-    wait_until(lambda: getattr(holder_of(again.folder / ".lock"), "pid", None) == again.process.pid, "it has begun")
-    experiment.config.with_name("restarted").touch()
     assert again.end() == 0, again.output
     assert "its systems were still being made safe" in again.output
 
