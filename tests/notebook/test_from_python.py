@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import json
 import linecache
+import mmap
 import os
 import signal
 import subprocess
@@ -483,15 +484,19 @@ def test_a_class_may_stand_in_a_file_of_any_encoding(tmp_path: Path, monkeypatch
 
 def test_an_interrupt_while_much_is_being_printed_tears_no_line() -> None:
     said: list[int] = []
+    is_printing = mmap.mmap(-1, 1)  # both processes have it
 
     def work(tell: Callable[[str], object]) -> Any:
         tell(f"{os.getpid():33}")
-        tell("long" * 500_000)
+        long = "long" * 500_000
+        is_printing[0] = 1
+        tell(long)
 
     def say(line: str) -> None:
         said.append(len(line))
         if len(said) == 1:
             printing = psutil.Process(int(line))
+            wait_until(lambda: is_printing[0])
             wait_until(lambda: printing.status() == psutil.STATUS_SLEEPING, "the pipe is full, as nobody reads on")
             printing.send_signal(signal.SIGINT)
 
