@@ -7,6 +7,7 @@ from itertools import count
 
 import pytest
 from tests.loopback_port import claim_port
+from tests.waiting import PATIENCE
 
 from robot_runner import Condition, Look, all_of, battery_above, file_complete, message_on, port_open, text_in
 from robot_runner.core.events.context import SystemClock
@@ -158,7 +159,7 @@ def test_a_condition_may_be_awaited_on_the_clock_of_the_machine(tmp_path) -> Non
             looks = count(1)
             return lambda: Look(next(looks) == 3)
 
-    assert Third().wait(make_context(tmp_path, clock=SystemClock(), robot=None), timeout_s=5).holds
+    assert Third().wait(make_context(tmp_path, clock=SystemClock(), robot=None), timeout_s=PATIENCE).holds
 
 
 @pytest.mark.parametrize("method", ["make_condition", "make_it_hold"])
