@@ -11,6 +11,7 @@ import sys
 import time
 import uuid
 from collections import Counter
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -116,6 +117,14 @@ class Experiment:
     def _children_of(self, parent: int) -> list[int]:
         return [pid for pid in self.processes() if process_stat(pid)[1:2] == [str(parent)]]
 
+    def kill(self) -> bool:
+        """Kill all of them, and return whether one lived."""
+        found = self.processes()
+        for pid in found:
+            with suppress(ProcessLookupError):  # it has ended since
+                os.kill(pid, signal.SIGKILL)
+        return bool(found)
+
     def nobody_is_left(self) -> bool:
         """Wait until none of them lives."""
         return bool(wait_until(lambda: not self.processes(), "no process is left"))
@@ -124,12 +133,15 @@ class Experiment:
 def kill_together(pids: Iterable[int]) -> None:
     """Kill processes so that none of them has the time to do anything about the death of another.
 
+    One that has ended since it was looked for needs no signal.
+
     Children come first: where a parent dies, Linux continues stopped processes of a group that is orphaned by that.
     """
     doomed = sorted(pids, key=lambda pid: len(list(ancestors(pid))), reverse=True)
     for number in (signal.SIGSTOP, signal.SIGKILL):
         for pid in doomed:
-            os.kill(pid, number)
+            with suppress(ProcessLookupError):
+                os.kill(pid, number)
 
 
 def wait_until(holds: Callable[[], Any], what: str) -> Any:
@@ -163,8 +175,7 @@ def start(write_config: Callable[..., Path], request: pytest.FixtureRequest) -> 
 
     yield begin
     for experiment in started:
-        for pid in experiment.processes():
-            os.kill(pid, signal.SIGKILL)
+        wait_until(lambda each=experiment: not each.kill(), "all that was left is dead")
         said, _ = experiment.process.communicate(timeout=PATIENCE)
         sys.stdout.write(experiment.output or said)  # pytest shows it where a test fails
 
