@@ -360,6 +360,35 @@ def test_where_the_journal_counts_no_run_is_executed_otherwise_than_planned(
     assert resume(executed).done_count == 4, "it goes on without a question"
 
 
+def test_a_run_that_was_added_by_hand_is_recorded_once_where_the_file_counts(write_config: Any) -> None:
+    config, first = write_config(COUNTING), Resumption(only=("r_1", "r_2"))
+    executed = Executed(config, execute_experiment(prepare_or_refuse(config), SilentObserver(), resumption=first), [])
+    last = "r_4,-,,,,,,,,,Network,2,\n"
+    edited(executed, last, f"{last}r_5,-,,,,,,,,,Network,3,\n")
+    resume(executed, table=TableChoice.FILE, only=("r_3",))
+    assert resume(executed).done_count == 5
+    assert [(each["run"], each["column"], each["was"], each["is"]) for each in executed.journal("deviation")] == [
+        ("r_5", ROW, "", "-")
+    ]
+    assert "its row was added by hand" in [each.problem for each in read_status(executed.folder).findings]
+    told = changes_in_words(json.loads(text_of(executed.folder / "manifest.json")))
+    assert told.endswith(": the row of r_5, which was added")
+    edited(executed, "Video,1,11", "Video,1,12")
+    resume(executed, table=TableChoice.JOURNAL)
+    assert [row["Energy"] for row in executed.table] == ["11", "21", "31", "41", "51"]
+
+
+def test_of_a_run_that_was_added_by_hand_and_is_lost_with_the_table_it_is_told(write_config: Any) -> None:
+    config, first = write_config(COUNTING), Resumption(only=("r_1",))
+    executed = Executed(config, execute_experiment(prepare_or_refuse(config), SilentObserver(), resumption=first), [])
+    last = "r_4,-,,,,,,,,,Network,2,\n"
+    edited(executed, last, f"{last}r_5,-,,,,,,,,,Network,3,\n")
+    resume(executed, table=TableChoice.FILE, only=("r_2",))
+    (executed.folder / "run_table.csv").unlink()
+    problems = [finding.problem for finding in resume(executed).findings]
+    assert any(each.endswith("; r_5, which had been added by hand, is lost") for each in problems)
+
+
 def test_a_table_restored_from_yesterday_executes_nothing_again_unasked(execute: Execute) -> None:
     executed = execute(COUNTING)
     edited(executed, "r_3,Done", "r_3,-")

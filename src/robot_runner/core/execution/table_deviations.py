@@ -88,43 +88,22 @@ def treatment_deviations(
 def planned_otherwise(
     plan: Sequence[PlannedRun], rows: RunTableRows, executed: Container[str], changed: Mapping[tuple[str, str], str]
 ) -> Iterator[Deviation]:
-    """Yield each treatment of a run that is not done which differs from the plan, and each run that the table lacks.
+    """Yield each treatment of a run that is not done which differs from the plan, and each run that only one has.
 
-    Where rows of `executed` runs are missing, that is found by the journal, and not here. `changed` has the text by run
-    and column.
+    Where rows of `executed` runs are missing, that is found by the journal, and not here; one that was added is on
+    record since before it was executed. `changed` has the text by run and column.
     """
     planned = {run.run_id: run for run in plan}
     found: list[Deviation] = []
     for place, row in enumerate(rows.planned):
         run = planned.pop(row.run_id, None)
-        if run is not None and run is not row and rows.status(place) is not RunStatus.DONE:
+        if run is None and row.run_id not in executed:
+            found.append(Deviation(row.run_id, ROW, "", rows.status(place).value))
+        elif run is not None and run is not row and rows.status(place) is not RunStatus.DONE:
             was, now = texts_of(run.combination), texts_of(row.combination)
             found += (Deviation(run.run_id, name, was[name], now[name]) for name in was if was[name] != now[name])
     found += (Deviation(run_id, ROW, RunStatus.TODO.value, "") for run_id in planned if run_id not in executed)
     yield from (each for each in found if changed.get((each.run, each.column)) != each.is_now)
-
-
-def unlike_plan(
-    plan: Sequence[PlannedRun],
-    rows: RunTableRows,
-    changed: Mapping[tuple[str, str], str] | None,
-    known: Iterable[str] | None,
-) -> str:
-    """Return in words that runs which are not done are other ones than planned; empty where they are not.
-
-    Args:
-        plan: all runs.
-        rows: of the table.
-        changed: the accepted text by run and column; None where other treatments are not looked at.
-        known: the runs that there may be beside those of the plan; None where there may be any.
-    """
-    planned = {run.run_id for run in plan}
-    if planned.difference(rows.values(RUN_ID)):
-        return "lacked runs that are planned"
-    has_more = known is not None and not planned.union(known).issuperset(rows.values(RUN_ID))
-    if has_more or (changed is not None and next(planned_otherwise(plan, rows, (), changed), None) is not None):
-        return "had other runs than are planned"
-    return ""
 
 
 def with_changes(
@@ -142,6 +121,9 @@ def with_changes(
     }
     removed = [run_id for (run_id, name), text in changed.items() if name == ROW and not text]
     told = f"; {enumerated(removed)} had been removed by hand" if removed else ""
+    rows_changed = (run_id for (run_id, name), text in changed.items() if name == ROW and text)
+    if added := [run_id for run_id in rows_changed if rows.place_of(run_id) is None]:
+        told += f"; {enumerated(added)}, which had been added by hand, {'is' if len(added) == 1 else 'are'} lost"
     if not cells:
         return rows, told
     # By way of CSV, so that changed texts are read by the same rules as those of a file.

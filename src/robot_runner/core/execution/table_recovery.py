@@ -25,6 +25,7 @@ from robot_runner.core.execution.recovered_table import (
     Deviation,
     RecoveredTable,
     TableHistory,
+    lacks_runs,
     run_of,
     schema_of,
     with_later_batches,
@@ -47,7 +48,6 @@ from robot_runner.core.execution.table_deviations import (
     planned_otherwise,
     treatment_deviations,
     unfit_values,
-    unlike_plan,
     with_changes,
 )
 from robot_runner.core.storage.cells import RunStatus, measure_text
@@ -190,10 +190,12 @@ class _Recovery:
         return "", ()
 
     def _unlike_plan(self, rows: RunTableRows) -> str:
-        design, is_ours = self._manifest["design"], self._history.written == sha256_of(self._path)
-        may_have_more = design.get(ACCEPTED_PLAN) == plan_digest(self._plan)
-        known = None if is_ours or may_have_more else self._history.attempted
-        return unlike_plan(self._plan, rows, None if is_ours else self._last_ends()[1], known)
+        """Return in words how runs of the file differ from the plan and nobody has accepted it; empty where none do."""
+        if lacks_runs(self._plan, rows):
+            return "lacked runs that are planned"
+        if self._history.written == sha256_of(self._path):
+            return ""
+        return "had other runs than are planned" * any(planned_otherwise(self._plan, rows, *self._last_ends()))
 
     def _unrecorded(self, rows: RunTableRows) -> list[str]:
         """Return the runs that are done by the table and have no end in the journal, which is older, or missing.

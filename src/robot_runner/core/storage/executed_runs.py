@@ -237,8 +237,10 @@ def edited_findings(journal: Path, table: Path, rows: RunTableRows) -> Iterator[
         yield Finding.warning(str(table), problem, _SETTLE)
 
 
-#: The `column` of a deviation that is a removed row: then, unlike with a factor of that name, nothing is there now.
+#: The `column` of a deviation that is a removed row, of which nothing is there now, or an added one, of which nothing
+#: was there and a status is now, unlike with a factor of that name.
 ROW = "row"
+_STATUSES = {status.value for status in RunStatus}
 
 
 def change_in_words(deviation: Mapping[str, Any]) -> str:
@@ -248,21 +250,27 @@ def change_in_words(deviation: Mapping[str, Any]) -> str:
         >>> change_in_words({"run": "r_1", "column": "Energy", "was": "11", "is": "12"})
         "Energy was changed by hand from '11' to '12'"
     """
-    if deviation["column"] == ROW and not deviation["is"]:
-        return "its row was removed by hand"
+    if (happened := _happened_to_row(deviation)) is not None:
+        return f"its row was {happened} by hand"
     return f"{deviation['column']} was changed by hand from {deviation['was']!r} to {deviation['is']!r}"
 
 
 def changes_in_words(manifest: Mapping[str, Any], shown: int = _MOST_NAMED) -> str:
     """Return the cells of runs that were changed by hand and accepted, with old and new values; empty without any."""
     cells = [
-        f"the row of {each['run']}, which was removed"
-        if each["column"] == ROW and not each["is"]
+        f"the row of {each['run']}, which was {happened}"
+        if (happened := _happened_to_row(each)) is not None
         else f"{each['column']} of {each['run']} from {each['was']!r} to {each['is']!r}"
         for each in manifest.get("table_deviations") or ()
         if each["run"]
     ]
     return f"cells were changed by hand in run_table.csv: {listed(cells, shown)}" if cells else ""
+
+
+def _happened_to_row(deviation: Mapping[str, Any]) -> str | None:
+    if deviation["column"] != ROW or (deviation["is"] and (deviation["was"] or deviation["is"] not in _STATUSES)):
+        return None
+    return "added" if deviation["is"] else "removed"
 
 
 def _edited(
