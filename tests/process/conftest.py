@@ -130,6 +130,18 @@ class Experiment:
         return bool(wait_until(lambda: not self.processes(), "no process is left"))
 
 
+def named(experiment: Experiment, part: bytes) -> list[int]:
+    """Return the processes of an experiment on whose command line something stands."""
+    return [pid for pid in experiment.processes() if part in command_line(pid)]
+
+
+def command_line(pid: int) -> bytes:
+    """Return it as /proc shows it; empty where the process has ended since it was looked for."""
+    with suppress(OSError):
+        return Path(f"/proc/{pid}/cmdline").read_bytes()
+    return b""
+
+
 def kill_together(pids: Iterable[int]) -> None:
     """Kill processes so that none of them has the time to do anything about the death of another.
 

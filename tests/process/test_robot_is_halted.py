@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 import pytest
 from tests.core.links.ssh_server import SshServer
 from tests.long_cases import soak_but
-from tests.process.conftest import kill_together, wait_until
+from tests.process.conftest import command_line, kill_together, named, wait_until
 from tests.ros.real_graph import over, over_pairs
 from tests.ros.ros1_master import RUDE
 from tests.subjects.conftest import gone
@@ -94,11 +94,6 @@ class Robot:
         """Whether it was commanded to stand still since the last call."""
         heard, self._heard = self._heard, self._heard[-1:]
         return 0.0 in heard[1:]
-
-
-def named(experiment: Experiment, part: bytes) -> list[int]:
-    """Return the processes of an experiment on whose command line something stands."""
-    return [pid for pid in experiment.processes() if part in Path(f"/proc/{pid}/cmdline").read_bytes()]
 
 
 def parent_of(pid: int) -> int:
@@ -337,7 +332,7 @@ def test_a_program_that_nobody_was_left_to_end_is_ended_and_its_robot_stopped_by
         experiment = start(config=config)
         wait_until_seen_to_move(robot, experiment)
         program = named(experiment, b"python\0" + os.fsencode(tmp_path / "planner.py"))
-        program = [pid for pid in program if b"sh\0-c" not in Path(f"/proc/{pid}/cmdline").read_bytes()]
+        program = [pid for pid in program if b"sh\0-c" not in command_line(pid)]
         kill_together(pid for pid in experiment.processes() if pid not in program)
         experiment.end()
         robot.stood_still()

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 from tests.command_line import PROGRAM
-from tests.process.conftest import kill_together, wait_until
+from tests.process.conftest import kill_together, named, wait_until
 
 from robot_runner.core.config.preparation import prepare
 from robot_runner.core.execution.before_first_run import folder_findings
@@ -218,9 +218,7 @@ def test_another_user_is_kept_out_until_software_under_test_of_a_killed_experime
     config.write_text(_PLANNED.format(per=per, process=process))
     experiment = start(config=config)
     experiment.wait_for("launched")
-    supervised = [
-        pid for pid in experiment.processes() if b"supervisor.py" in Path(f"/proc/{pid}/cmdline").read_bytes()
-    ]
+    supervised = named(experiment, b"supervisor.py")
     kept = {*supervised, *children_of(supervised)}
     kill_together(set(experiment.processes()) - kept)
     experiment.end()
