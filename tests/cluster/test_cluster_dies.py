@@ -177,7 +177,7 @@ def test_a_connection_that_breaks_and_is_made_anew_has_no_run_executed_twice_at_
     watched.pid("r_1")
     watched.pid("r_2")
     proxy.reset()
-    until(lambda: len(_lost(watched)) >= 2, "both attempts are lost", 30)
+    until(lambda: len(_lost(watched)) >= 2, "both attempts are lost")
     until(lambda: len(journal_of(watched.folder, "attempt_started")) >= 4, "they are begun again")
     time.sleep(2 * LEASE)
     _ends_well(experiment, watched)
@@ -192,7 +192,7 @@ def test_a_run_is_told_at_once_to_stop_where_its_orchestrator_alone_was_killed(
     experiment = cluster.experiment(watched.config)
     run = watched.pid()
     experiment.kill()
-    until(lambda: not _is_alive(run), "the gateway has the run stopped", 30)
+    until(lambda: not _is_alive(run), "the gateway has the run stopped")
     assert (watched.told / "r_1.closed").exists()
 
 

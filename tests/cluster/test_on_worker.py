@@ -73,7 +73,7 @@ def test_what_a_killed_orchestrator_left_on_a_worker_is_removed_long_after_its_l
         time.sleep(LEASE / 4)  # for whoever looks whether it was renewed
     assert (folder / "snapshot.json").exists(), "as long as it is renewed"
     clock.sleep(LEASE * 6)
-    until(lambda: not folder.exists(), "it is removed", 10)
+    until(lambda: not folder.exists(), "it is removed")
     with pytest.raises(KeyError):
         on_worker.renew("0123")
 
@@ -119,7 +119,7 @@ class Host:
         self.told.append(kind)
 
     def followed(self, outgoing: object) -> dict[str, Any]:
-        until(lambda: "stop" in self.told, "it is stopped", 10)
+        until(lambda: "stop" in self.told, "it is stopped")
         return {"because": "interrupted", "is_interrupted": True, "seconds": 1.0}
 
 
@@ -169,7 +169,7 @@ def test_a_worker_that_cannot_load_the_experiment_says_why_before_it_gets_any_ru
     assert found is not None
     assert found.startswith("config.py:1: the config raised ModuleNotFoundError"), "and names the file as it is known"
     on_worker.leave("0123")
-    until(lambda: not (tmp_path / "robot-runner-4567").exists(), "nothing is left", 10)
+    until(lambda: not (tmp_path / "robot-runner-4567").exists(), "nothing is left")
 
 
 def test_dask_does_not_sample_a_worker_that_executes_runs(tmp_path: Path) -> None:
@@ -180,10 +180,10 @@ def test_dask_does_not_sample_a_worker_that_executes_runs(tmp_path: Path) -> Non
     on_worker.join(_facts(tmp_path) | {"session": "another", "id": "89ab"}, worker)
     assert _sampled(worker) == ["heartbeat"]
     on_worker.leave("0123")
-    until(lambda: not (tmp_path / "robot-runner-4567").exists(), "the one has left", 10)
+    until(lambda: not (tmp_path / "robot-runner-4567").exists(), "the one has left")
     assert _sampled(worker) == ["heartbeat"], "as long as another experiment is there"
     on_worker.leave("another")
-    until(lambda: "profile" in _sampled(worker), "it goes on as before", 10)
+    until(lambda: "profile" in _sampled(worker), "it goes on as before")
     assert _sampled(worker) == ["profile", "heartbeat"], "but for what was not sampled before"
 
 

@@ -82,7 +82,7 @@ def goes_on(graph: str) -> bool:
     try:
         heard: list[Any] = []
         link.subscribe("/clock", "rosgraph_msgs/Clock", heard.append)
-        deadline = time.monotonic() + 15.0
+        deadline = time.monotonic() + PATIENCE
         while len(heard) < 3 and time.monotonic() < deadline:
             time.sleep(0.02)
         return len(heard) >= 3
