@@ -92,6 +92,7 @@ def test_means_come_from_a_file_and_from_a_pilot(
     [
         ([], "nothing is assumed", "--pilot"),
         (["--sd", "12"], "no difference is assumed", "--difference"),
+        (["--sd", "12"], "no difference is assumed", "or 0 where they are to be shown alike"),
         (["--difference", "Task=5"], "nothing is assumed of Energy", "--sd Energy="),
         (["--sd", "12", "--difference", "Tusk=5"], "no factor 'Tusk'", "'Task'"),
         (["--sd", "12", "--difference", "Speed=5"], "no difference of Task", "--difference Energy:Task="),

@@ -234,7 +234,8 @@ def _scenarios(
         if not (spreads or shares):
             fix = "Give --pilot FOLDER, or --sd (--share of what is yes or no) and --difference, or --means FILE."
             raise AnalysisError("nothing is assumed of the values that will be measured", where="power", fix=fix)
-        fix = "Give --difference FACTOR=NUMBER, in the measure's unit."
+        unit = "in the measure's unit, or 0 where they are to be shown alike within a bound"
+        fix = f"Give what treatments differ by: --difference FACTOR=NUMBER, {unit}."
         raise AnalysisError("no difference is assumed that could be found", where="power", fix=fix)
 
 
