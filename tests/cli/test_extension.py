@@ -338,6 +338,16 @@ def test_more_repetitions_in_the_config_are_refused_with_the_command_that_adds_t
     assert resume(executed).done_count == 10
 
 
+def test_a_factor_that_was_renamed_is_not_called_one_that_an_extension_adds(execute: Execute) -> None:
+    executed = execute(COUNTING)
+    written_config(executed.config.parent, COUNTING, table=changed(TABLE, **{'Factor("Task"': 'Factor("Job"'}))
+    with pytest.raises(ExecutionError) as refused:
+        resume(executed, accept_changes=True)
+    (finding,) = [each for each in refused.value.findings if "plans more" in each.problem]
+    assert finding.problem.endswith(": the factor 'Job'; and it has the factor 'Task' no more")
+    assert "robot-runner extend" not in finding.fix
+
+
 @pytest.mark.long
 def test_treatments_and_factors_of_the_config_are_named_too(execute: Execute) -> None:
     executed = execute(COUNTING)

@@ -181,10 +181,15 @@ def _lost_treatments(config: Path, model: RunTableModel, manifest: Mapping[str, 
 
 def _lost(model: RunTableModel, design: Mapping[str, Any]) -> Iterator[tuple[Factor, set[str]]]:
     """Yield each factor of the config that has lost treatments since the experiment was planned, and their texts."""
-    chosen = model.chosen if isinstance(model, GrownRunTableModel) else {}
+    chosen = _chosen(model)
     for own in as_configured(model).factors:
         if lost := set(design["factors"].get(own.name, ())).difference(own.texts, chosen.get(own.name, ())):
             yield own, lost
+
+
+def _chosen(model: RunTableModel) -> Mapping[str, Sequence[str]]:
+    """Return the treatments that came by extensions and not from the config, by factor."""
+    return model.chosen if isinstance(model, GrownRunTableModel) else {}
 
 
 def unplanned_additions(
@@ -211,6 +216,10 @@ def unplanned_additions(
     fix = f"Add these runs: robot-runner extend {shown_config(config)}{accepting}. Or undo the change."
     if isinstance(now.design, AdaptiveDesign):
         fix = "A design that decides by results cannot be extended: undo the change, or choose another experiment_name."
+    there, chosen = {factor.name for factor in now.factors}, _chosen(model)
+    if gone := [repr(name) for name in design["factors"] if name not in there and name not in chosen]:
+        problem += f"; and it has the {'factor' if len(gone) == 1 else 'factors'} {enumerated(gone)} no more"
+        fix = "No extension renames a factor, or takes one away: undo the change, or choose another experiment_name."
     finding = Finding.warning if any(_lost(model, design)) else Finding.error
     return (finding(f"{config}, create_run_table", problem, fix),)
 
