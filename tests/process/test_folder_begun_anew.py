@@ -13,6 +13,7 @@ import pytest
 from tests.process.conftest import wait_until
 
 from robot_runner.core.storage.journal import read_journal
+from robot_runner.core.storage.outliving import is_stopped
 
 Start = Callable[..., Any]
 
@@ -26,12 +27,18 @@ def records(experiment: Any) -> list[str]:
     return [record["kind"] for record in read_journal(experiment.folder / "journal.jsonl")]
 
 
+def stop_and_remove(experiment: Any) -> None:
+    """Stop an experiment, so that it writes nothing meanwhile, and remove its folder; it stays stopped."""
+    experiment.send(signal.SIGSTOP)
+    wait_until(lambda: is_stopped(experiment.process.pid), "it is stopped")
+    shutil.rmtree(experiment.folder)
+
+
 @pytest.mark.long
 def test_the_first_execution_ends_and_leaves_the_second_its_answers_and_its_journal(start: Start) -> None:
     first = start(WAITING)
     wait_until(lambda: "waiting" in records(first), "it waits for a person")
-    first.send(signal.SIGSTOP)  # so that it finds the other one there
-    shutil.rmtree(first.folder)
+    stop_and_remove(first)
     second = start(config=first.config)
     wait_until(lambda: "waiting" in records(second), "the other one waits, too")
     first.send(signal.SIGCONT)
@@ -77,8 +84,7 @@ def test_a_folder_that_is_removed_and_that_runs_in_flight_make_anew_ends_the_exe
     first = start(KEEPS_RAW_DATA, "--workers", str(workers))
     for number in range(2, 2 + workers):  # r_1 is done, and r_2 is in flight; with two workers r_3, too
         first.wait_for(f"r_{number}.moves")
-    first.send(signal.SIGSTOP)  # so that it writes nothing there meanwhile
-    shutil.rmtree(first.folder)
+    stop_and_remove(first)
     (first.config.parent / "gone").touch()
     first.send(signal.SIGCONT)
     assert first.end() == 1, first.output
