@@ -169,6 +169,15 @@ def _claims_of_this_process(tmp_path_factory: pytest.TempPathFactory) -> Iterato
         yield
 
 
+@pytest.fixture(scope="session", autouse=True)
+def _git_knows_no_hook() -> Iterator[None]:
+    """Leave out what a hook of git that executes the tests hands on: they would commit into its repository."""
+    with pytest.MonkeyPatch.context() as patch:
+        for name in [each for each in os.environ if each.startswith("GIT_")]:
+            patch.delenv(name)
+        yield
+
+
 @pytest.fixture
 def write_config(tmp_path: Path) -> Callable[..., Path]:
     """Return what writes a config into the test's own folder, as `written_config` does."""
