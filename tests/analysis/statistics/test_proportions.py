@@ -183,7 +183,9 @@ def test_three_treatments_have_the_probability_of_all_tables_as_uneven(tmp_path:
 def test_where_three_treatments_say_yes_equally_often_no_table_is_less_uneven() -> None:
     """Their statistic is 0, and some 1e-32 by rounding, as is that of many tables that are dealt."""
     yes = [[1, 1, 1], [1, 1, 1], [0, 0, 1], [1, 1, 1], [1, 1, 0], [1, 0, 0], [0, 1, 1]]
-    assert Strata(np.ones((7, 3), dtype=np.int64), np.array(yes)).p_value(999) == 1
+    table = Strata(np.ones((7, 3), dtype=np.int64), np.array(yes))
+    assert table.statistic() == (0, 2)
+    assert table.p_value(999) == 1
     assert Strata(np.full((1, 7), 6), np.full((1, 7), 5)).p_value(999) == 1
 
 

@@ -235,7 +235,8 @@ class Strata:
         """Return the generalised Mantel-Haenszel statistic and its degrees of freedom, which may be 0."""
         inverse, rank = self._spread()
         excess = (self.yes - self._expected()).sum(axis=0)
-        return float(excess @ inverse @ excess), rank
+        found = float(excess @ inverse @ excess)
+        return found if found > _NOTHING else 0.0, rank
 
     def p_value(self, draws: int = _DRAWS) -> float:
         """Return the probability of tables that are at least as uneven, given the runs and yes of each stratum.
