@@ -7,6 +7,7 @@ from typing import Any
 import pytest
 
 from robot_runner.core.design.factor import Factor
+from robot_runner.core.design.numeric_range import Range
 from robot_runner.core.design.run_table_model import RunTableModel
 from robot_runner.core.errors import DesignError
 
@@ -94,6 +95,11 @@ def test_a_predicate_cannot_change_a_combination() -> None:
 )
 def test_an_exclusion_of_what_there_is_not_is_refused(exclusion: Any, finding: str) -> None:
     assert findings_of([exclusion]) == [f"exclude_combinations[0]: {finding}"]
+
+
+def test_a_value_within_a_range_takes_a_function() -> None:
+    (finding,) = findings_of([{"Speed": 0.15}], TASK, Factor("Speed", Range(0.1, 0.2, step=0.05)))
+    assert "→ Of a range, a mapping names the ends, 0.1 and 0.2. For values between them, write a function" in finding
 
 
 def test_what_a_predicate_raised_is_the_cause() -> None:

@@ -161,12 +161,22 @@ def _named(
         factor = by_name[name]
         places = [(value, factor.position_of(value)) for value in factor.named(wanted)]
         errors += [
-            Finding.error(where, f"{value!r} is not a treatment of factor {name!r}", factor.suggestion(value))
+            Finding.error(where, f"{value!r} is not a treatment of factor {name!r}", _instead(factor, value))
             for value, place in places
             if place is None
         ]
         named[name] = frozenset(place for _, place in places if place is not None)
     return named, errors
+
+
+def _instead(factor: Factor, value: object) -> str:
+    """Return what to write in the place of a value that is no treatment of a factor."""
+    if factor.range is None:
+        return factor.suggestion(value)
+    ends = f"{factor.range.lower} and {factor.range.upper}"
+    return (
+        f"Of a range, a mapping names the ends, {ends}. For values between them, write a function of the combination."
+    )
 
 
 def _predicate_failed(where: str, combination: Combination, error: Exception) -> Finding:
