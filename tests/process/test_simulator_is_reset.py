@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 from tests.process.graph_simulation import simulated_robot
-from tests.processor_wait import ProcessorWait, family
 from tests.ros.real_graph import over
 from tests.ros.ros1_master import RUDE
 
@@ -34,18 +33,18 @@ from robot_runner.plugins.systems import Simulation
 class Drive(System):
     def launch_mission(self, context):
         link = connect_robot(context)
-        first = link.wait_for("odom", "nav_msgs/Odometry", timeout=60)
+        first = link.wait_for("odom", "nav_msgs/Odometry", timeout=10)
         link.publish("cmd_vel", "geometry_msgs/Twist", {{}})  # so that its subscriber is found before it counts
         context.clock.sleep(0.5)
-        x = [first["pose"]["pose"]["position"]["x"]]
-        while x[-1] < x[0] + 0.15:
-            link.publish("cmd_vel", "geometry_msgs/Twist", {{"linear": {{"x": 0.2}}}})
-            x.append(link.wait_for("odom", "nav_msgs/Odometry", timeout=60)["pose"]["pose"]["position"]["x"])
+        link.publish("cmd_vel", "geometry_msgs/Twist", {{"linear": {{"x": 0.2}}}})
+        context.clock.sleep(1.0)
         link.publish("cmd_vel", "geometry_msgs/Twist", {{}})
+        last = link.wait_for("odom", "nav_msgs/Odometry", timeout=10)
         (Path(__file__).parent / "launched").touch()
+        x = [each["pose"]["pose"]["position"]["x"] for each in (first, last)]
         if HANGS:
             context.clock.sleep(60)
-        context.share(first_x=x[0], last_x=x[-1])
+        context.share(first_x=x[0], last_x=x[1])
 
     def make_safe(self, context):
         connect_robot(context).publish("cmd_vel", "geometry_msgs/Twist", {{}})
@@ -98,18 +97,15 @@ def test_each_run_begins_where_the_first_did_and_the_simulator_is_left_going_on(
 ) -> None:
     with simulated_robot(graph, "--use-sim-time"):
         reset = "simulation" if graph == "ros1" else "world"
-        begun, wait = time.monotonic(), ProcessorWait(family())
         experiment = start(config=written(tmp_path, robot=graph, reset=reset, hangs=False))
         experiment.output, _ = experiment.process.communicate(timeout=PATIENCE)
         assert experiment.process.returncode == 0, experiment.output
-        wait.look()
-        starved = min(1.0, wait.seconds / (time.monotonic() - begun))  # of the simulator's own time
         assert goes_on(graph), "it was left paused"
     assert [row["status"] for row in experiment.table] == ["Done", "Done"]
     for row in experiment.table:
         assert abs(float(row["First"])) < 0.05
         assert 0.1 < float(row["Last"]) < 0.5
-        assert 0.3 * (1.0 - starved) < float(row["RealTimeFactor"]) < 1.2
+        assert 0.3 < float(row["RealTimeFactor"]) < 1.2
         assert 0 < float(row["ResetDuration"]) < 10
 
 
