@@ -296,14 +296,15 @@ def test_a_subject_of_the_experiment_that_died_is_started_again_for_the_next_run
     execute: Callable[..., Executed], tmp_path: Path
 ) -> None:
     mark = tmp_path / "first"
-    fatal = f"while [ ! -e {mark} ]; do sleep 0.1; done; exit 9"
-    command = ["sh", "-c", f"echo up; [ -e {mark} ] && exec sleep 100; {fatal}"]
+    # It looks for the mark before it says that it is up: the mission makes it then.
+    again = '[ -e "$0" ] && echo up && exec sleep 100'
+    command = ["sh", "-c", f'{again}; echo up; while [ ! -e "$0" ]; do sleep 0.1; done; exit 9', str(mark)]
     body = f"""
     plugins = [Program({command!r}, name="World", per="experiment", ready="up")]
 
     def launch_mission(self, context):
         Path({str(mark)!r}).touch()
-        context.clock.sleep(3)
+        context.clock.sleep(60 if context.run_number == 1 else 0)
     """
     done = execute(body, table=TWO_RUNS)
     assert [row["status"] for row in done.table] == ["Failed", "Done"]
@@ -360,12 +361,13 @@ def test_a_program_that_had_begun_before_the_mission_makes_values_doubtful_and_o
     assert ("Solver had been executed for" in doubts) is (per == "run")
 
 
-@pytest.mark.parametrize("leaves", ["(BURN &); sleep 0.4", "BURN & sleep 0.4", "BURN"])
+@pytest.mark.parametrize("leaves", ["(BURN &); AWAIT", "BURN & AWAIT", "BURN"])
 def test_what_a_program_did_not_await_is_told_to_be_missing_from_its_cpu_time(tmp_path: Path, leaves: str) -> None:
-    loop = "sh -c 'i=0; while [ $i -lt 60000 ]; do i=$((i+1)); done; sleep 0.6'"  # some 50 ms, and there when it ends
-    if leaves == "BURN":
-        loop = loop.replace("; sleep 0.6", "")
-    solver = Program(["sh", "-c", leaves.replace("BURN", loop)], name="Solver", exit_codes=[0], per="mission")
+    burnt = tmp_path / "burnt"
+    stays = "" if leaves == "BURN" else "; exec sleep 1000"  # it is there when the program ends
+    loop = f"""sh -c 'i=0; while [ $i -lt 60000 ]; do i=$((i+1)); done; : >"$0"{stays}' "$0\""""  # some 50 ms
+    script = leaves.replace("BURN", loop).replace("AWAIT", 'while [ ! -e "$0" ]; do sleep 0.05; done')
+    solver = Program(["sh", "-c", script, str(burnt)], name="Solver", exit_codes=[0], per="mission")
     context = make_context(tmp_path, solver, clock=SystemClock())
     rehearse(context, solver, mission=lambda: solver.wait(context, timeout_s=20))
     told = [finding.problem for finding in context.broker.findings if "did not await" in finding.problem]
