@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 from tests.core.links.ssh_server import SshServer
+from tests.waiting import PATIENCE
 
 from robot_runner.core.storage.outliving import process_stat, processes
 
@@ -28,7 +29,7 @@ def alive(token: str) -> list[int]:
     return found
 
 
-def gone(token: str, *, within: float = 20.0) -> bool:
+def gone(token: str, *, within: float = PATIENCE) -> bool:
     """Whether no such process is left, or none after so many seconds."""
     deadline = time.monotonic() + within
     while alive(token):

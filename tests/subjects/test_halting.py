@@ -336,7 +336,8 @@ def test_who_was_to_halt_the_robot_and_is_stopped_holds_nobody_up_and_is_ended_b
             assert not is_subject_left(ExperimentFolder(tmp_path)), "it stops no robot"
             (told,) = end_left_subjects(tmp_path, lambda _: True)
             assert "it was commanded to stand still now" in told.problem
-            assert stopped.wait(5) == -signal.SIGKILL, "once continued, it would stop the robot in the midst of a run"
+            # Once continued, it would stop the robot in the midst of a run.
+            assert stopped.wait(PATIENCE) == -signal.SIGKILL
             assert halted == [start.folder]
         finally:
             stopped.kill()

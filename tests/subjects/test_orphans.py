@@ -9,6 +9,7 @@ import sys
 from typing import TYPE_CHECKING
 
 import pytest
+from tests.waiting import PATIENCE
 
 from robot_runner.core.storage.outliving import is_alive
 from robot_runner.subjects.halting import end_left_subjects
@@ -30,7 +31,7 @@ def test_what_is_left_is_killed_whatever_its_folder_is_called(tmp_path: Path, na
             end_orphans(tmp_path / "another")
             assert left.poll() is None
             end_orphans(folder)
-            assert left.wait(5) == -signal.SIGKILL
+            assert left.wait(PATIENCE) == -signal.SIGKILL
         finally:
             left.kill()
 
@@ -54,7 +55,7 @@ def test_a_program_of_a_killed_execution_whose_supervisor_is_stopped_is_ended_by
     supervisor.stdin.close()  # as its starter is dead
     try:
         assert list(end_left_subjects(tmp_path, lambda _: True)) == []
-        supervisor.wait(20)
+        supervisor.wait(PATIENCE)
         assert not is_alive(pid)
     finally:
         supervisor.kill()

@@ -8,7 +8,7 @@ import sys
 from typing import TYPE_CHECKING
 
 from tests.subjects.conftest import alive, gone
-from tests.waiting import wait_until
+from tests.waiting import PATIENCE, wait_until
 
 from robot_runner.subjects import supervisor
 
@@ -35,6 +35,6 @@ def test_a_program_ends_at_once_where_who_waited_for_its_end_over_a_network_was_
             supervised.stdin.close()
             supervised.stdout.close()
             assert gone(token)
-            assert supervised.wait(30) == 0
+            assert supervised.wait(PATIENCE) == 0
         finally:
             supervised.kill()
