@@ -260,3 +260,18 @@ def test_treatments_of_the_same_sum_have_no_pattern_of_signs_that_is_nearer_to_0
     assert found.test is not None
     assert "sign flips" in found.test.effects[0].test
     assert found.test.effects[0].p_value == 1
+
+
+def test_a_statistic_that_is_0_but_for_rounding_is_told_as_0(tmp_path: Path) -> None:
+    """Single runs, so that a linear model is fitted: of its F some 1e-31 is left."""
+    values = {("lab", "Video"): 3, ("lab", "Network"): 1, ("lab", "Idle"): 3}
+    values |= {("hall", "Video"): 1, ("hall", "Network"): 3, ("hall", "Idle"): 3}
+    found = energy(
+        tmp_path,
+        lambda of, _: values[of["Map"], of["Task"]] / 3,
+        [Factor("Map", ["lab", "hall"]), TASKS],
+        repetitions=1,
+    )
+    assert found.test is not None
+    assert found.test.effects[0].statistic == 0
+    assert "F(1, 2) = 0, p = 1.000" in found.test.effects[0].conclusion

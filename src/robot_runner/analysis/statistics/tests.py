@@ -164,6 +164,7 @@ def _checked(estimand: Estimand) -> str:
 
 def _effect(model: AnyModel, found: EffectTest, beside: EffectTest | None, choices: Choices) -> Effect:
     statistic, p_value, variance = float(found.statistic), float(found.p_value), float(found.variance)
+    statistic = 0.0 if abs(statistic) < _NOTHING else statistic
     freedom = tuple(map(float, found.freedom))
     is_known = all(map(math.isfinite, (statistic, p_value, *freedom)))
     p_value_of = p_value if is_known else None
@@ -234,6 +235,9 @@ def stranded_in_words(data: MeasureData) -> str:
         f"with other blocks or with runs of all its treatments in each batch."
     )
 
+
+#: A smaller statistic is what rounding leaves of 0.
+_NOTHING = 1e-24
 
 _COMPARED = {Estimand.MEAN: "means", Estimand.TRIMMED_MEAN: "trimmed means", Estimand.RANK: "relative ranks"}
 
