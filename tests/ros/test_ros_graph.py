@@ -61,8 +61,10 @@ def test_topics_that_ros_2_hides_are_kept_and_not_counted_as_a_rosbridge_does_no
 
 
 def test_a_node_is_found_by_the_name_that_it_was_given(measure):
-    command = [sys.executable, "-c", "import time; time.sleep(60)", "--ros-args", "-r", "__node:=fake_robot"]
-    with subprocess.Popen(command) as node:
+    program = "import time; print('ready', flush=True); time.sleep(60)"
+    command = [sys.executable, "-c", program, "--ros-args", "-r", "__node:=fake_robot"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE) as node:
+        assert node.stdout.readline() == b"ready\n"  # else what Python's start takes counts as the node's
         context = measure(RosGraph(["/fake_robot"], rate_hz=20.0))
         node.terminate()
     assert context.measures["CPU_fake_robot"] == pytest.approx(0.0, abs=5.0)
