@@ -133,14 +133,18 @@ def test_a_goal_that_is_given_up_as_another_s_is_not_told_to_be_cancelled_though
 
 
 def test_a_goal_of_another_client_is_not_taken_for_one_that_was_silently_rejected(server, robot, link):
-    got = []
+    def rejects(goal):
+        if goal["order"] < 0:
+            is_rejected.set()
+        return goal["order"] < 0
+
+    got, is_rejected = [], threading.Event()
     robot.offer_action("drill", FIBONACCI, lambda execution: time.sleep(1.0) or {"sequence": [7]})
-    server.actions.rejects["/drill"] = lambda goal: goal["order"] < 0
+    server.actions.rejects["/drill"] = rejects
     with closing(open_rosbridge_link(server.url, SystemClock())) as rival:
         sending = threading.Thread(target=lambda: got.append(link.send_goal("drill", FIBONACCI, {"order": -1})))
         sending.start()
-        wait_until(lambda: link._goals._goals)  # it is on its way, and nobody will say that it is not taken
-        time.sleep(0.5)
+        assert is_rejected.wait(PATIENCE)  # and nobody will say that it is not taken
         rival.send_goal("drill", FIBONACCI, {"order": 3})
         sending.join(30)
         with pytest.raises(LinkError, match="it was another client's") as told:
