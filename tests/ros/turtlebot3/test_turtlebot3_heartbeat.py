@@ -29,7 +29,7 @@ def robot_on(link, clock):
 
 def test_the_heart_beats_several_times_a_second_until_it_is_ended():
     link = FakeRobotLink(FakeClock())
-    heartbeat, began = Heartbeat(link), time.monotonic()
+    began, heartbeat = time.monotonic(), Heartbeat(link)  # it beats from now on, whenever this thread goes on
     until(lambda: len(beats(link)) >= 4)
     assert time.monotonic() - began > 0.25  # not faster than needed
     heartbeat.end()
