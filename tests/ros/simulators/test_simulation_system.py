@@ -13,6 +13,7 @@ import pytest
 from tests.processor_wait import ProcessorWait
 from tests.ros.dds_domain import LOOPBACK, claim_domain
 from tests.ros.simulators.faithful_simulator import FaithfulSimulator
+from tests.waiting import PATIENCE, wait_until
 
 from robot_runner.core.errors import LinkError, PluginError
 from robot_runner.core.events.context import SystemClock
@@ -51,16 +52,13 @@ def stage(graph, tmp_path):
     begun = []
 
     def make(simulator, *, pace=1.0, faults=(), **parameters):
-        gone = time.monotonic() + 20.0
-        while (own.services() or its.services()) and time.monotonic() < gone:  # of the simulator before
-            time.sleep(0.02)
+        wait_until(lambda: not own.services() and not its.services(), "those of the simulator before go")
         made = FaithfulSimulator(its, simulator, pace=pace, faults=faults)
         begun.append(made)
-        plugin = Simulation(simulator, **{"timeout_s": 2.0, **parameters})
+        plugin = Simulation(simulator, **{"timeout_s": PATIENCE, **parameters})
         context = make_context(tmp_path, plugin, robot="dds", links=FakeLinks(robot=own), clock=SystemClock())
-        deadline = time.monotonic() + 20.0
-        while not {"/clock", "/odom"} <= set(own.topics()) and "mute" not in faults and time.monotonic() < deadline:
-            time.sleep(0.02)
+        if "mute" not in faults:
+            wait_until(lambda: {"/clock", "/odom"} <= set(own.topics()), "the simulator is discovered")
         return made, Rehearsal(context, plugin), context
 
     yield make
