@@ -290,7 +290,7 @@ class _Recovery:
             table.rows, by_hand = with_changes(self._path, rows, self._plan, kept)
         self._leave_out(table)
         done = table.rows.count(RunStatus.DONE)
-        problem = f"{reason}: rebuilt from the plan and the journal, with {done} runs that are done{by_hand}"
+        problem = f"{reason}: rebuilt from the plan and the journal, with {counted(done, 'run')} done{by_hand}"
         table.findings = (Finding.warning(str(self._path), problem, self._kept_fix()),)
         return table
 
