@@ -303,7 +303,7 @@ def test_a_factor_called_row_is_no_removed_row(execute: Execute) -> None:
     assert told == ["row was changed by hand from '2' to '1'", "its row was removed by hand"]
     path.unlink()
     (finding,) = resume(executed).findings
-    assert finding.problem.endswith("with 4 runs that are done; r_2 had been removed by hand")
+    assert finding.problem.endswith("with 4 runs done; r_2 had been removed by hand")
     manifest = json.loads(text_of(executed.folder / "manifest.json"))
     assert changes_in_words(manifest).endswith(": row of r_2 from '2' to '1', the row of r_2, which was removed")
 
